@@ -1,0 +1,1 @@
+"""grainmesh: flow through and around many particles; the grains are the mesh."""
