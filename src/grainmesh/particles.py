@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +13,8 @@ from grainmesh.errors import InputError
 
 #: Discs that overlap by more than this share of the smaller radius are refused.
 MAX_OVERLAP = 0.3
+#: The same across a periodic edge: more overlap there says that the data are not periodic.
+MAX_OVERLAP_ACROSS = 1e-3
 
 Float = NDArray[np.float64]
 
@@ -134,7 +136,8 @@ def settle(box: Box, particles: Particles) -> Particles:
     ------
     InputError
         Disc wholly outside the box, duplicate centres, overlap beyond `MAX_OVERLAP` of the smaller
-        radius (the pair is named), or a disc too large for a periodic box.
+        radius or beyond `MAX_OVERLAP_ACROSS` across a periodic edge (the pair is named), or a disc
+        too large for a periodic box.
     """
     if box.periodic:
         x = np.mod(particles.x, box.size)
@@ -150,32 +153,62 @@ def settle(box: Box, particles: Particles) -> Particles:
                 f"the box {box.width:g} m x {box.height:g} m: enlarge the box or drop what lies "
                 "outside (--crop)"
             )
-    x, r = particles.x, particles.radius
-    pairs = close_pairs(box, particles, -MAX_OVERLAP * float(r.min()))
-    if len(pairs):
-        i, j = pairs.T
-        distance = np.linalg.norm(box.separation(x[i], x[j]), axis=1)
-        distance[i == j] = box.size.min()
-        overlap = (r[i] + r[j] - distance) / np.minimum(r[i], r[j])
-        worst = int(np.argmax(overlap))
-        a, b = int(i[worst]), int(j[worst])
-        if distance[worst] <= 1e-9 * r[a] and a != b:
-            raise InputError(
-                f"particles {a} and {b} have the same centre ({x[a, 0]:g}, {x[a, 1]:g}) m: "
-                "remove one"
-            )
-        if overlap[worst] > MAX_OVERLAP:
-            across = ", across the periodic edge" if _across(box, x[a], x[b], a == b) else ""
-            raise InputError(
-                f"particles {a} and {b} overlap by {overlap[worst]:.0%} of the smaller radius"
-                f"{across}; at most {MAX_OVERLAP:.0%} is taken: correct the centres, reduce the "
-                "diameters" + (", or drop --periodic" if across else "")
-            )
+    _refuse_overlap(
+        particles,
+        close_pairs(replace(box, periodic=False), particles, -MAX_OVERLAP * particles.radius.min()),
+        np.zeros(2),
+        MAX_OVERLAP,
+    )
+    if box.periodic:
+        # Half of the eight images around the box: the other half shows the same pairs.
+        for shift in np.array([[1, 0], [0, 1], [1, 1], [1, -1]]) * box.size:
+            _refuse_overlap(particles, _pairs_across(particles, shift), shift, MAX_OVERLAP_ACROSS)
     return particles
 
 
-def _across(box: Box, a: Float, b: Float, same: bool) -> bool:
-    return box.periodic and (same or bool((np.abs(b - a) > 0.5 * box.size).any()))
+def _pairs_across(particles: Particles, shift: Float) -> NDArray[np.int64]:
+    """Pairs (i, j) where disc i may touch disc j moved by `shift`, shape (m, 2)."""
+    x, reach = particles.x, 2.0 * particles.radius.max()
+    moved = x + shift
+    low, high = x.min(axis=0) - reach, x.max(axis=0) + reach
+    j = np.flatnonzero(((low < moved) & (moved < high)).all(axis=1))
+    low, high = low + shift, high + shift
+    i = np.flatnonzero(((low < x) & (x < high)).all(axis=1))
+    near = cKDTree(x[i]).query_ball_tree(cKDTree(moved[j]), reach)
+    first = np.repeat(i, [len(k) for k in near])
+    second = j[np.concatenate([np.asarray(k, dtype=int) for k in near])] if near else first
+    return np.stack([first, second], axis=1)
 
 
-__all__ = ["MAX_OVERLAP", "Particles", "close_pairs", "settle", "touches"]
+def _refuse_overlap(
+    particles: Particles, pairs: NDArray[np.int64], shift: Float, most: float
+) -> None:
+    """Raise if discs i and j, j moved by `shift`, overlap by more than `most` of the smaller."""
+    if len(pairs) == 0:
+        return
+    x, r = particles.x, particles.radius
+    i, j = pairs.T
+    distance = np.linalg.norm(x[j] + shift - x[i], axis=1)
+    overlap = (r[i] + r[j] - distance) / np.minimum(r[i], r[j])
+    worst = int(np.argmax(overlap))
+    a, b = int(i[worst]), int(j[worst])
+    if a != b and distance[worst] <= 1e-9 * r[a]:
+        raise InputError(
+            f"particles {a} and {b} have the same centre ({x[a, 0]:g}, {x[a, 1]:g}) m: remove one"
+        )
+    if overlap[worst] <= most:
+        return
+    if a == b:
+        raise InputError(
+            f"particle {a} overlaps its own image across the periodic edge: enlarge the box, "
+            "reduce the diameter, or drop --periodic"
+        )
+    across = ", across the periodic edge" if shift.any() else ""
+    raise InputError(
+        f"particles {a} and {b} overlap by {100 * overlap[worst]:.3g} % of the smaller radius"
+        f"{across}; at most {100 * most:g} % is taken: correct the centres, reduce the diameters"
+        + (", or drop --periodic" if across else "")
+    )
+
+
+__all__ = ["MAX_OVERLAP", "MAX_OVERLAP_ACROSS", "Particles", "close_pairs", "settle", "touches"]
