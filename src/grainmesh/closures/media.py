@@ -44,13 +44,17 @@ class Microstructural(Law):
 
 @dataclass(frozen=True)
 class CarmanKozeny(Law):
-    """λ = ε³/(16 k φ²): a bundle of tubes of the same specific surface, Kozeny constant k."""
+    """λ = ε³/(16 k φ²): a bundle of tubes of the same specific surface, Kozeny constant k.
+
+    It does not know the arrangement. The stated error is against the hexagonal lattice; for random
+    arrays it is 2 to 6 times too high.
+    """
 
     k: float = 5.0
 
     name = "carman-kozeny"
     reference = "Carman, Trans. Inst. Chem. Eng. 15 (1937) 150"
-    medium = "packed discs, order of magnitude"
+    medium = "hexagonal lattice, order of magnitude"
     variable = "porosity"
     valid = (0.3, 0.7)
     error = 0.8
@@ -66,13 +70,14 @@ class CarmanKozeny(Law):
 class Ergun2D(Law):
     """Ergun's law with the specific surface of cylinders, λ = ε³/(66.7 φ²), with inertia.
 
-    -dp/dx = 66.7 μ φ² U/(ε³ d²) + 1.167 ρ φ U²/(ε³ d). A third-party form: not checked against the
-    original paper; fit your own from resolved flow where inertia matters.
+    -dp/dx = 66.7 μ φ² U/(ε³ d²) + 1.167 ρ φ U²/(ε³ d). The stated error is against the hexagonal
+    lattice at Re = 0; for random arrays λ is 2 to 7 times too high. A third-party form: not checked
+    against the original paper; fit your own from resolved flow where inertia matters.
     """
 
     name = "ergun-2d"
     reference = "Ergun, Chem. Eng. Prog. 48 (1952) 89, rewritten for cylinders"
-    medium = "packed discs, order of magnitude"
+    medium = "hexagonal lattice, order of magnitude"
     variable = "porosity"
     valid = (0.3, 0.7)
     error = 1.2
@@ -157,7 +162,7 @@ class Happel(Law):
 
     name = "happel"
     reference = "Happel, AIChE J. 5 (1959) 174"
-    medium = "dilute discs, order of magnitude"
+    medium = "hexagonal lattice, order of magnitude"
     variable = "porosity"
     valid = (0.5, 1.0)
     error = 0.45
