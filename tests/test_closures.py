@@ -295,6 +295,7 @@ def test_refuses_a_medium_that_has_closed(name):
         lambda: closures.Forchheimer(closures.Ergun2D()),
         lambda: closures.Gebart("triangular"),
         lambda: closures.DrummondTahir("cubic"),
+        lambda: LAWS["kuwabara"]([0.7, 0.8], [0.5, 0.5, 0.5]),
         lambda: lattice_gap("cubic", 0.5),
         lambda: lattice_gap("square", 1.5),
         lambda: drag_coefficient(LAWS["kuwabara"], 0.7, 0.5, -1.0, 1.0),

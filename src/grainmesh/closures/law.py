@@ -78,7 +78,7 @@ class Law(ABC):
         Raises
         ------
         InputError
-            If the argument in use is not physical, or the medium has closed there.
+            If the argument in use is not physical, the medium has closed there, or the shapes differ.
 
         Warns
         -----
@@ -86,6 +86,14 @@ class Law(ABC):
             Once a call, if the argument in use leaves `valid`.
         """
         given = {"porosity": np.asarray(porosity, float), "gap": np.asarray(gap, float)}
+        shapes = [v.shape for v in given.values()]
+        try:
+            shape = np.broadcast_shapes(*shapes)
+        except ValueError:
+            raise InputError(
+                f"porosity {shapes[0]} and gap {shapes[1]} differ in shape: give both one by one, "
+                "or either as a single number"
+            ) from None
         x = given[self.variable]
         check(self.variable, x)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -106,7 +114,6 @@ class Law(ABC):
                 ClosureWarning,
                 stacklevel=2,
             )
-        shape = np.broadcast_shapes(given["porosity"].shape, given["gap"].shape)
         return np.broadcast_to(lam, shape).copy()[()]
 
     def inertia(self, reynolds: ArrayLike, porosity: ArrayLike, lam: ArrayLike) -> Float:
