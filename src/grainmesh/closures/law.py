@@ -78,7 +78,8 @@ class Law(ABC):
         Raises
         ------
         InputError
-            If the argument in use is not physical, the medium has closed there, or the shapes differ.
+            If the argument in use is not physical, the medium has closed there, or the shapes of
+            both do not go together.
 
         Warns
         -----
