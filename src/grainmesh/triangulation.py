@@ -53,8 +53,9 @@ T = TypeVar("T", bound=np.generic)
 STRAIN = (1.1e-7, 0.7e-7)
 #: A particle closer to a wall than this share of its diameter becomes a point of the wall.
 WALL_LAYER = 0.25
-#: Spacing of the nodes on the walls, in mean diameters.
-WALL_SPACING = 2.0
+#: Spacing of the nodes on the walls: in mean diameters, and its least share of the mean distance
+#: between particles, sqrt(area/n), which takes over beyond a porosity of 0.98.
+WALL_SPACING, WALL_SPACING_DILUTE = 2.0, 1.0 / 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,10 +249,12 @@ def triangulate(box: Box, particles: Particles, *, wall_nodes: bool = True) -> T
     particles : Particles
         Discs that touch the box and do not hide each other (see `particles.settle`).
     wall_nodes : bool
-        Put nodes on the walls: the corners, and nodes about 2 d apart that are moved along the wall
-        by up to d/2 to where the nearest disc is farthest away. The mesh is then the whole box.
+        Put nodes on the walls: the corners, and nodes about 2 d apart (more where particles are
+        few: one particle in a square has 12 triangles, as the paper's Fig. 3) that are moved
+        along the wall by up to d/2 to where the nearest disc is farthest away, at most d/2. The
+        mesh is then the whole box. All points on walls have the power weight of the smallest disc.
         False: particles alone, at their true centres, joined where their power cells meet inside
-        the box enlarged by half on each side.
+        the box enlarged on each side by half of its longer side.
 
     Returns
     -------
@@ -379,6 +382,7 @@ def _at_walls(box: Box, particles: Particles) -> tuple[Float, Bool]:
 def _wall_nodes(box: Box, points: Float, particles: Particles) -> Float:
     """Nodes on the walls [m], (k, 2): free corners, and nodes in between as `triangulate` says."""
     d = particles.mean_diameter
+    aim = max(WALL_SPACING * d, WALL_SPACING_DILUTE * float(np.sqrt(box.area / len(particles))))
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * box.size
     taken = (corners[:, None] == points).all(axis=-1).any(axis=1)
     nodes = [corners[~taken]]
@@ -390,7 +394,7 @@ def _wall_nodes(box: Box, points: Float, particles: Particles) -> Float:
             on = points[:, 1 - axis] == wall
             held = np.unique(np.concatenate([[0.0, box.size[axis]], points[on, axis]]))
             length = np.diff(held)
-            parts = np.maximum(np.rint(length / (WALL_SPACING * d)), 1.0).astype(int)
+            parts = np.ceil(length / aim - 0.25).clip(1.0).astype(int)
             spacing = np.repeat(length / parts, parts - 1)
             number = np.arange(len(spacing)) - np.repeat(
                 np.cumsum(parts - 1) - parts + 1, parts - 1
@@ -401,7 +405,8 @@ def _wall_nodes(box: Box, points: Float, particles: Particles) -> Float:
             place[..., axis], place[..., 1 - axis] = along, wall
             distance, disc = tree.query(place, k=nearest)
             room = (distance - particles.radius[disc]).min(axis=-1)
-            best = np.argmax(room, axis=1)
+            # d/2 of room is enough: moving on would only stretch the triangle on the other side.
+            best = np.argmax(np.minimum(room, 0.5 * d), axis=1)
             nodes.append(place[np.arange(len(place)), best])
     return np.vstack(nodes)
 
