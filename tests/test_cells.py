@@ -154,6 +154,21 @@ def test_one_large_disc_among_many_small_ones():
 
 
 @pytest.mark.parametrize("periodic", [False, True])
+def test_large_discs_among_dust_are_found_from_afar(periodic):
+    # Eq. (3): a large disc cuts cells from much farther than the dust between does.
+    rng = np.random.default_rng(7)
+    large = np.stack(np.meshgrid(*2 * [1.25 + 2.5 * np.arange(4)]), axis=-1).reshape(-1, 2)
+    dust = rng.uniform(0, 10, (4000, 2))
+    dust = dust[np.hypot(*(dust[:, None] - large).T).min(axis=0) > 1.01]
+    particles = Particles(
+        np.vstack([large, dust]), np.r_[np.full(16, 2.0), np.full(len(dust), 1e-4)]
+    )
+    found = cells(Box(10.0, 10.0, periodic), particles)
+    assert found.area.sum() == close(100.0, rel=1e-12)
+    assert found.solid[:16] == close(np.pi, rel=1e-12)
+
+
+@pytest.mark.parametrize("periodic", [False, True])
 def test_invariance_under_relabelling_rotation_scaling(periodic):
     box = Box(3.0, 2.0, periodic)
     particles = scattered(box, 50, 11)

@@ -304,6 +304,16 @@ def test_no_sliver_arises_at_walls(spread, bound):
         assert np.degrees(mesh.angles.min()) > bound
 
 
+def test_a_wall_node_moves_away_from_a_disc_above_it_by_half_a_diameter():
+    x = [[4.0, 0.3], [2.5, 3.0], [5.5, 3.0], [2.0, 6.0], [6.0, 6.0]]
+    mesh = triangulate(Box(8.0, 8.0), Particles(x, 1.0))
+    nodes = mesh.points[mesh.n :]
+    along = np.sort(nodes[nodes[:, 1] == 0.0, 0])
+    along[2] = 4.0 - abs(along[2] - 4.0)  # to either side
+    assert along == close([0.0, 2.0, 3.5, 6.0, 8.0], rel=1e-14)
+    assert np.sort(nodes[nodes[:, 1] == 8.0, 0]) == close([0.0, 2.0, 4.0, 6.0, 8.0], rel=1e-14)
+
+
 def test_one_particle_in_a_square_has_twelve_triangles():
     mesh = triangulate(Box(2.0, 2.0), Particles([[1.0, 1.2]], 0.1))
     assert len(mesh.triangles) == 12
