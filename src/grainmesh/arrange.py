@@ -179,10 +179,13 @@ def random(
     if not (isfinite(min_gap) and min_gap >= 0):
         raise InputError(f"min_gap {min_gap:g} must not be negative")
     solid = _solid(porosity)
-    unit = float(d.mean())
+    # In a unit that makes equal discs exactly 1, whatever their diameter.
+    unit = float(d.max())
+    scaled = d / unit
+    gap = min_gap * float(scaled.mean())
     # Each disc carries half of the gap; a trace more keeps round-off out of the promise.
-    radius = 0.5 * (d / unit + min_gap) * (1 + 1e-10)
-    size = sqrt((pi / 4 * (d / unit) ** 2).sum() / solid) * np.array([aspect**0.5, aspect**-0.5])
+    radius = 0.5 * (scaled + gap) * (1 + 1e-10)
+    size = sqrt((pi / 4 * scaled**2).sum() / solid) * np.array([aspect**0.5, aspect**-0.5])
     full = pi * (radius**2).sum() / size.prod()
     fault = ""
     if full > REACH:
@@ -200,9 +203,9 @@ def random(
         )
     width, height = size * unit
     box, particles = Box(width, height, periodic), Particles(x * unit, d)
-    near = close_pairs(box, particles, min_gap * unit)
+    near = close_pairs(box, particles, gap * unit)
     edge = np.minimum(particles.x, box.size - particles.x).min(axis=1)
-    if len(near) or not (periodic or (edge >= 0.5 * (d + min_gap * unit)).all()):
+    if len(near) or not (periodic or (edge >= 0.5 * (d + gap * unit)).all()):
         raise RuntimeError("the random generator broke its promise of a minimum gap: report this")
     return box, particles
 
@@ -338,7 +341,8 @@ def _read(path: str | PathLike[str], unit: float, diameter: float | None) -> tup
     if len(values) != len(rows):
         raise InputError(f"{path}: a quoted text runs over several lines; put each row on one line")
 
-    values = values * unit
+    with np.errstate(over="ignore"):
+        values = values * unit
     _every(np.isfinite(values), row, "a value is not finite")
     x, d = values[:, :2], np.full(len(values), diameter or 0.0)
     if sizes:
