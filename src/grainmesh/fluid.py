@@ -1,0 +1,590 @@
+r"""Mesoscale model: steady Stokes flow on the mesh of the particles, held back by their drag.
+
+With porosity ε, interstitial velocity u, pressure p and a mean pressure gradient -G,
+
+    -∇·[2 mu ε D(u) - 2/3 mu ε (∇·u) I] + B u + ε ∇p = ε G,    ∇·(ε u) = 0,                 (1)
+
+the porosity-scaled Stokes equations of Yazdchi, Srivastava and Luding (Powders & Grains 2013) for
+particles at rest. Particle i is vertex i of the mesh. It holds the fluid by the drag coefficient
+
+    β_i = mu ε_i² / (d² λ),    λ = K/d² from a closure,                                       (2)
+
+times the area A_i of its power cell, spread over the kernel ψ_i,
+
+    B = sum_i β_i A_i ψ_i,    ψ_i = φ_i / ∫φ_i,                                               (3)
+
+where φ_i is the linear hat function of vertex i. A node on a wall is no particle: its hat is shared
+equally by the particles joined to it and added to their φ_i, as its porosity is their mean. So the
+φ_i sum to one, and a uniform bed is uniform up to its walls. The force on particle i is the adjoint
+of (3) plus the pressure on the solid (1 - ε_i) φ_i that the mesh gives it,
+
+    F_i = β_i A_i ∫ψ_i u + (1 - ε_i) ∫φ_i (G - ∇p),                                           (4)
+
+so the forces in a periodic box sum to G times its area.
+
+The elements are P_k/P_{k-1} (Taylor-Hood), for k = 1 P_1 with a cubic bubble (MINI). Porosity and B
+are linear. The mean superficial velocity U = ∫ε u / area gives the permeability, K G = mu U.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+import numpy as np
+from netgen.meshing import IdentificationType
+from netgen.meshing import Mesh as NetgenMesh
+from ngsolve import (
+    H1,
+    TRIG,
+    VERTEX,
+    BilinearForm,
+    CoefficientFunction,
+    Grad,
+    GridFunction,
+    InnerProduct,
+    Integrate,
+    LinearForm,
+    Mesh,
+    NodeId,
+    Periodic,
+    Sym,
+    TaskManager,
+    VectorH1,
+    div,
+    dx,
+    grad,
+)
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from grainmesh.cells import cells
+from grainmesh.closures import Law
+from grainmesh.domain import SIDES, Box
+from grainmesh.errors import InputError
+from grainmesh.particles import Particles, settle
+from grainmesh.triangulation import Triangulation, triangulate
+
+Float = NDArray[np.float64]
+Int = NDArray[np.int64]
+Bool = NDArray[np.bool_]
+Kernel = Literal["hat", "delta"]
+Walls = Literal["symmetry", "no-slip"]
+Gap = Literal["global", "local"]
+
+#: Least porosity of a vertex: the cells of cut or overlapping discs may be solid altogether.
+LEAST_POROSITY = 0.05
+#: Least γ handed to a law: discs that touch everywhere have none.
+LEAST_GAP = 1e-3
+#: The factorised matrix has this share of its Schur complement's diagonal as pressure block.
+SHIFT = 1e-8
+#: Corrections of the solution at most: three do, where the condition is good.
+MOST_CORRECTIONS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Flow:
+    """A solution of (1) in the units of the mesh, with mu = 1.
+
+    Attributes
+    ----------
+    fields : ngsolve.GridFunction
+        Velocity and pressure together; keeps the memory of both.
+    dofs : int
+        Unknowns of velocity and pressure that are free, before condensation.
+    """
+
+    fields: Any
+    dofs: int
+
+    @property
+    def velocity(self) -> Any:
+        """Interstitial velocity u, a vector field on the mesh."""
+        return self.fields.components[0]
+
+    @property
+    def pressure(self) -> Any:
+        """Pressure p, without the part of the mean gradient."""
+        return self.fields.components[1]
+
+
+def stokes(
+    mesh: Any,
+    porosity: Float,
+    drag: Float,
+    forces: Sequence[Any],
+    *,
+    order: int = 2,
+    kernel: Kernel = "hat",
+    pressure: Sequence[str] = (),
+    slip: Sequence[str] = (),
+    no_slip: Sequence[str] = (),
+) -> list[Flow]:
+    """Solve (1) for given porosity and drag, mu = 1; one factorisation for all forces.
+
+    Parameters
+    ----------
+    mesh : ngsolve.Mesh
+        As `flow_mesh` makes it; periodic if its points are identified.
+    porosity, drag : ndarray, shape (v,)
+        Values of ε and B at the vertices of the mesh, linear between them.
+    forces : sequence of ngsolve.CoefficientFunction
+        Vectors G, one solution each.
+    order : int
+        Polynomial order k >= 1 of the velocity.
+    kernel : {"hat", "delta"}
+        ``delta`` puts the drag of each hat function into its vertex alone. It lets the fluid slip
+        round the vertex and does not converge: for comparison only.
+    pressure, slip, no_slip : sequence of str
+        Sides of the box (see `domain.SIDES`) where the pressure is zero and the flow at right
+        angles, where it is tangential without friction, and where there is none.
+
+    Returns
+    -------
+    list of Flow
+    """
+    V, Q = _spaces(mesh, order, pressure, slip, no_slip)
+    X = V * Q
+    (u, p), (v, q) = X.TnT()
+    P1 = H1(mesh, order=1)
+    eps, B = GridFunction(P1), GridFunction(P1)
+    eps.vec.FV().NumPy()[:] = porosity
+    B.vec.FV().NumPy()[:] = drag if kernel == "hat" else 0.0
+    # Eq. (1): 2 ε D(u):D(v) - 2/3 ε ∇·u ∇·v + B u·v + ε ∇p·v + ε u·∇q
+    form = (
+        eps * (2.0 * InnerProduct(Sym(Grad(u)), Sym(Grad(v))) - 2.0 / 3.0 * div(u) * div(v))
+        + B * InnerProduct(u, v)
+        + eps * (InnerProduct(grad(p), v) + InnerProduct(u, grad(q)))
+    )
+    with TaskManager():
+        # One degree more than the elements have, for ε and B: all integrals are exact.
+        a = BilinearForm(form * dx(bonus_intorder=1), condense=True).Assemble()
+        values, columns, rows = (np.asarray(part) for part in a.mat.CSR())
+        matrix = csr_array((values, columns, rows), copy=False)
+        diagonal = _diagonal(matrix)
+        if kernel == "delta":
+            dof = np.array([V.GetDofNrs(NodeId(VERTEX, i)) for i in range(mesh.nv)])
+            np.add.at(values, diagonal[dof], (drag * _hats(mesh))[:, None])
+        free = np.asarray(X.FreeDofs(True))
+        inverse = _inverse(a.mat, matrix, diagonal, V.ndof, X.FreeDofs(True))
+        flows = []
+        for force in forces:
+            f = LinearForm(eps * InnerProduct(force, v) * dx(bonus_intorder=1)).Assemble().vec
+            f.data += a.harmonic_extension_trans * f
+            fields = GridFunction(X)
+            _refine(a.mat, inverse, f, fields.vec, free)
+            fields.vec.data += a.harmonic_extension * fields.vec
+            fields.vec.data += a.inner_solve * f
+            flows.append(Flow(fields, sum(X.FreeDofs())))
+    return flows
+
+
+@dataclass(frozen=True, eq=False)
+class Mesoscale:
+    """Mesoscale flow through a box of discs.
+
+    Attributes
+    ----------
+    tensor : ndarray, shape (2, 2)
+        Permeability [m2]; column k belongs to a pressure gradient along axis k. Times G/mu it is
+        the mean superficial velocity, also of a channel.
+    force : ndarray, shape (2, n, 2)
+        Force on each disc, per unit depth and unit pressure gradient [m2], for each direction,
+        Eq. (4); it includes the part of the mean pressure gradient, so that periodic forces sum
+        to the area.
+    error : float
+        Estimated relative error of the tensor from discretisation, not from the law: the change
+        from the order below (for order 1, to the order above).
+    order : int
+        Polynomial order of the velocity.
+    dofs : int
+        Unknowns of velocity and pressure.
+    mesh : ngsolve.Mesh
+        In units of `scale`. Vertex i is particle i, at one of its images if the box is periodic.
+        A periodic cell of few discs is repeated.
+    velocity : tuple of ngsolve.CoefficientFunction
+        Interstitial velocity mu u / (G scale^2) for the two directions, on `mesh`.
+    porosity : ngsolve.CoefficientFunction
+        ε on `mesh`.
+    scale : float
+        Length unit of `mesh` [m]: the mean diameter.
+    """
+
+    tensor: Float
+    force: Float
+    error: float
+    order: int
+    dofs: int
+    mesh: Any
+    velocity: tuple[Any, Any]
+    porosity: Any
+    scale: float
+
+
+def solve(
+    box: Box,
+    particles: Particles,
+    law: Law,
+    *,
+    order: int = 2,
+    kernel: Kernel = "hat",
+    walls: Walls = "symmetry",
+    gap: Gap = "global",
+) -> Mesoscale:
+    """Permeability tensor and forces by the mesoscale model.
+
+    Parameters
+    ----------
+    box : Box
+    particles : Particles
+    law : closures.Law
+        λ of the medium, K/d² with d the mean diameter.
+    order : int
+        Polynomial order k of the velocity, from 1.
+    kernel : {"hat", "delta"}
+        See `stokes`.
+    walls : {"symmetry", "no-slip"}
+        What the two sides along the flow are; no matter in a periodic box.
+    gap : {"global", "local"}
+        ``global``: one λ, of the overall porosity and mean gap. ``local``: the gap of each
+        particle, its second smallest, in place of the mean gap; all scaled to the same mean.
+
+    Raises
+    ------
+    InputError
+        For particles that `particles.settle` refuses, a law that cannot take them, an unknown
+        `kernel`, `walls` or `gap`, or an order below 1.
+    """
+    for name, value, known in (
+        ("kernel", kernel, Kernel),
+        ("walls", walls, Walls),
+        ("gap", gap, Gap),
+    ):
+        if value not in get_args(known):
+            raise InputError(f"{name} '{value}' unknown: use {' or '.join(get_args(known))}")
+    if order < 1:
+        raise InputError(f"order {order} must be at least 1")
+    particles = settle(box, particles)
+    n, scale = len(particles), particles.mean_diameter
+    unit = Box(box.width / scale, box.height / scale, box.periodic)
+    bed = _bed(unit, Particles(particles.x / scale, particles.diameter / scale), law, gap)
+    other = order - 1 if order > 1 else 2
+    rough = _run(bed, other, kernel, walls).tensor
+    found = _run(bed, order, kernel, walls)
+    return Mesoscale(
+        tensor=found.tensor * scale**2,
+        force=found.force[:, :n] * scale**2,
+        error=float(np.linalg.norm(found.tensor - rough) / np.linalg.norm(found.tensor)),
+        order=order,
+        dofs=found.flows[0].dofs,
+        mesh=bed.mesh,
+        velocity=(found.flows[0].velocity, found.flows[1].velocity),
+        porosity=_linear(bed.mesh, bed.porosity),
+        scale=scale,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Bed:
+    """A bed in mean diameters: its mesh with ε and B, and how particles own the vertices."""
+
+    box: Box
+    mesh: Any
+    share: csr_array  # (n, v): φ_i = sum of the hats of the vertices, by these weights
+    porosity: Float  # ε (v,)
+    drag: Float  # B (v,)
+    held: Float  # β_i A_i / ∫φ_i (n,)
+    solid: Float  # 1 - ε_i (n,)
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    tensor: Float  # (2, 2)
+    force: Float  # (2, n, 2)
+    flows: list[Flow]
+
+
+def _bed(box: Box, particles: Particles, law: Law, gap: Gap) -> _Bed:
+    once, triangulation = (box, particles), triangulate(box, particles)
+    times = np.ones(2, dtype=int)
+    while box.periodic and not _simple(triangulation):
+        times[np.argmin(box.size)] += 1
+        box, particles = _repeated(*once, times)
+        triangulation = triangulate(box, particles)
+    cell = cells(box, particles)
+    eps = np.maximum(cell.porosity, LEAST_POROSITY)
+    lam = _permeability(law, 1.0 - cell.solid.sum() / box.area, triangulation, gap)
+    mesh, vertex = flow_mesh(triangulation)
+    share = _share(triangulation)[:, vertex]
+    held = eps**2 / lam * cell.area / (share @ _hats(mesh))  # Eqs. (2), (3), d = 1
+    alone = 1.0 - np.asarray(share.sum(axis=0))  # a node that no particle is joined to: pure fluid
+    return _Bed(box, mesh, share, eps @ share + alone, held @ share, held, 1.0 - eps)
+
+
+def _permeability(law: Law, porosity: float, triangulation: Triangulation, gap: Gap) -> Float:
+    """λ of each particle, (n,)."""
+    n = triangulation.n
+    if law.variable != "gap":
+        if gap == "local":
+            raise InputError(f"law {law.name} does not depend on the gap: use gap='global'")
+        return np.full(n, law(porosity, np.nan))
+    gamma = np.full(n, triangulation.gap_shortest)
+    if gap == "local":
+        own = np.maximum(triangulation.gap_of_particle, LEAST_GAP)
+        own *= gamma / np.nanmean(own)
+        gamma = np.where(np.isnan(own), gamma, own)
+    return law(porosity, np.maximum(gamma, LEAST_GAP))
+
+
+def _run(bed: _Bed, order: int, kernel: Kernel, walls: Walls) -> _Run:
+    """Flows along x and y: permeability and forces, Eq. (4)."""
+    unit = (CoefficientFunction((1.0, 0.0)), CoefficientFunction((0.0, 1.0)))
+    mesh = bed.mesh
+    if bed.box.periodic:
+        flows = stokes(mesh, bed.porosity, bed.drag, unit, order=order, kernel=kernel)
+    else:
+        flows = []
+        for along in range(2):
+            ends, sides = SIDES[2 * along :][:2], SIDES[2 - 2 * along :][:2]
+            kind = {"slip" if walls == "symmetry" else "no_slip": sides}
+            flows += stokes(
+                mesh,
+                bed.porosity,
+                bed.drag,
+                [unit[along]],
+                order=order,
+                kernel=kernel,
+                pressure=ends,
+                **kind,
+            )
+    eps, hats, degree = _linear(mesh, bed.porosity), _hats(mesh), max(order, 3)
+    mean, force = np.empty((2, 2)), np.empty((2, len(bed.held), 2))
+    with TaskManager():
+        for along, flow in enumerate(flows):
+            flux = Integrate(eps * flow.velocity, mesh, order=degree + 1)
+            mean[:, along] = np.array(flux) / bed.box.area
+            slope = grad(flow.pressure)
+            for axis in range(2):
+                if kernel == "hat":
+                    around = bed.share @ _moments(mesh, flow.velocity[axis], degree)
+                else:
+                    at = flow.fields.components[0].components[axis].vec.FV().NumPy()[: mesh.nv]
+                    around = bed.share @ (hats * at)
+                pull = bed.share @ ((along == axis) * hats - _moments(mesh, slope[axis], degree))
+                force[along, :, axis] = bed.held * around + bed.solid * pull  # Eq. (4)
+    return _Run(mean, force, flows)
+
+
+# --- the mesh -----------------------------------------------------------------------------------
+
+
+def flow_mesh(triangulation: Triangulation) -> tuple[Any, Int]:
+    """NGSolve mesh of a triangulation.
+
+    A torus is cut open along edges: each triangle lies where its middle is inside the box, and
+    images of a particle are identified with each other. The first vertices are the points of the
+    triangulation, at one of their images, in their order.
+
+    Parameters
+    ----------
+    triangulation : Triangulation
+        Of a box with wall nodes; or periodic, with at most one edge between two particles.
+
+    Returns
+    -------
+    mesh : ngsolve.Mesh
+        Its boundaries are named as in `domain.SIDES`.
+    vertex : ndarray, shape (v,)
+        Point of the triangulation that each vertex of the mesh shows.
+    """
+    box, m = triangulation.box, len(triangulation.points)
+    shift = triangulation.shifts.astype(np.int64)
+    if box.periodic:
+        shift -= np.floor(triangulation.corners.mean(axis=1) / box.size).astype(int)[:, None]
+    images = np.column_stack([triangulation.triangles.reshape(-1, 1), shift.reshape(-1, 2)])
+    images, corner = np.unique(images, axis=0, return_inverse=True)
+    # The lowest image of each point comes first, as vertex number i.
+    first = np.ones(len(images), dtype=bool)
+    first[1:] = np.diff(images[:, 0]) > 0
+    number = np.where(first, np.cumsum(first) - 1, m + np.cumsum(~first) - 1)
+    images = images[np.argsort(number)]
+    vertex, shift = images[:, 0], images[:, 1:]
+
+    ngmesh = NetgenMesh(dim=2)
+    ngmesh.AddPoints(
+        np.column_stack([triangulation.points[vertex] + shift * box.size, np.zeros(len(vertex))])
+    )
+    region = ngmesh.AddRegion("fluid", dim=2)
+    triangles = number[corner].reshape(-1, 3)
+    ngmesh.AddElements(dim=2, index=region, data=triangles.astype(np.int32), base=0)
+    if not box.periodic:
+        for side, name in enumerate(SIDES):
+            data = triangulation.wall_edges[triangulation.wall_sides == side]
+            region = ngmesh.AddRegion(name, dim=1)
+            ngmesh.AddElements(dim=1, index=region, data=data, base=0)
+    else:
+        for group, pairs in enumerate(_identifications(triangles, vertex, shift), start=1):
+            for master, slave in np.column_stack(pairs).tolist():
+                ngmesh.AddPointIdentification(
+                    master + 1, slave + 1, group, IdentificationType.PERIODIC
+                )
+    return Mesh(ngmesh), vertex
+
+
+def _identifications(triangles: Int, point: Int, shift: Int) -> list[tuple[Int, Int]]:
+    """Groups of (master, slave) vertices that make a periodic space of a cell cut open.
+
+    NGSolve goes through the groups in order; the last group with a vertex among its slaves decides
+    what the vertex becomes, so the groups that lead to the lowest image of each point come last.
+    An edge is identified where both its ends are slaves in one group. All such edges of a group,
+    and no triangle at all, must have an image, or NGSolve stops: hence more than one group for a
+    translation.
+    """
+    v = len(point)
+    sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    copies = np.bincount(point)[point] > 1
+    sides = np.unique(sides[copies[sides].all(axis=1)], axis=0)
+    corners = triangles[copies[triangles].all(axis=1)]
+    known = sides[:, 0] * v + sides[:, 1]
+
+    def groups(master: Int, wanted: Int) -> list[tuple[Int, Int]]:
+        """Groups of slaves v -> master[v], so that each wanted pair is together in one of them."""
+        image = np.sort(master[sides], axis=1)
+        lost = sides[~np.isin(image[:, 0] * v + image[:, 1], known)]
+        forbidden = np.vstack([corners, lost[:, [0, 1, 1]]])
+        found = []
+        while len(wanted):
+            slave = np.zeros(v, dtype=bool)
+            slave[wanted] = True
+            slave[forbidden[slave[forbidden].all(axis=1), 2]] = False
+            together = np.asarray(slave[wanted].all(axis=1))
+            if not together.any():
+                together[0] = True
+            slaves = np.unique(wanted[together])
+            found.append((master[slaves], slaves))
+            wanted = wanted[~together]
+        return found
+
+    # The two copies of an edge that was cut follow each other here, the lower image first.
+    ends = np.where((point[sides[:, 0]] > point[sides[:, 1]])[:, None], sides[:, ::-1], sides)
+    order = np.lexsort([*shift[ends[:, 0]].T[::-1], *point[ends].T])
+    low, high = ends[order[:-1]], ends[order[1:]]
+    twice = (point[low] == point[high]).all(axis=1)
+    low, high = low[twice], high[twice]
+    step = shift[high[:, 0]] - shift[low[:, 0]]
+    result = []
+    for translation in np.unique(step, axis=0):
+        here = (step == translation).all(axis=1)
+        master = np.arange(v)
+        master[high[here]] = low[here]
+        result += groups(master, high[here])
+    slaves = np.flatnonzero(point != np.arange(v))
+    return result + groups(point, np.column_stack([slaves, slaves]))
+
+
+def _simple(triangulation: Triangulation) -> bool:
+    """Whether every edge joins two different particles, and no two edges join the same."""
+    edges = triangulation.edges
+    return bool((edges[:, 0] != edges[:, 1]).all()) and len(np.unique(edges, axis=0)) == len(edges)
+
+
+def _repeated(box: Box, particles: Particles, times: Int) -> tuple[Box, Particles]:
+    """The same periodic medium in a box repeated (2,) times along x and y, this cell first."""
+    cell = np.stack(np.meshgrid(*map(np.arange, times), indexing="ij"), axis=-1).reshape(-1, 2)
+    x = (particles.x + (cell * box.size)[:, None]).reshape(-1, 2)
+    large = Box(box.width * times[0], box.height * times[1], periodic=True)
+    return large, Particles(x, np.tile(particles.diameter, len(cell)))
+
+
+def _share(triangulation: Triangulation) -> csr_array:
+    """Weights (n, m) that extend particle values to all points: a wall node is their mean."""
+    n, m = triangulation.n, len(triangulation.points)
+    ends = np.vstack([triangulation.edges, triangulation.edges[:, ::-1]])
+    node, particle = ends[(ends[:, 0] >= n) & (ends[:, 1] < n)].T
+    weight = 1.0 / np.bincount(node, minlength=m)[node]
+    i = np.concatenate([np.arange(n), particle])
+    j = np.concatenate([np.arange(n), node])
+    return csr_array((np.concatenate([np.ones(n), weight]), (i, j)), shape=(n, m))
+
+
+# --- finite elements ----------------------------------------------------------------------------
+
+
+def _spaces(
+    mesh: Any, order: int, pressure: Sequence[str], slip: Sequence[str], no_slip: Sequence[str]
+) -> tuple[Any, Any]:
+    """Velocity and pressure space, periodic if the mesh is."""
+    upright, level = {"left", "right"}, {"bottom", "top"}
+    x = [*no_slip, *upright.intersection(slip), *level.intersection(pressure)]
+    y = [*no_slip, *level.intersection(slip), *upright.intersection(pressure)]
+    V = VectorH1(mesh, order=order, dirichletx="|".join(x), dirichlety="|".join(y))
+    Q = H1(mesh, order=max(order - 1, 1), dirichlet="|".join(pressure))
+    if order == 1:
+        V.SetOrder(TRIG, 3)  # the bubble of MINI
+        V.Update()
+    return Periodic(V), Periodic(Q)
+
+
+def _linear(mesh: Any, values: Float) -> Any:
+    """Field that is linear between values at the vertices."""
+    field = GridFunction(H1(mesh, order=1))
+    field.vec.FV().NumPy()[:] = values
+    return field
+
+
+def _moments(mesh: Any, field: Any, degree: int) -> Float:
+    """Integrals of a field of this degree times the hat function of each vertex, (v,)."""
+    space = H1(mesh, order=1)
+    form = LinearForm(field * space.TestFunction() * dx(bonus_intorder=degree))
+    return np.array(form.Assemble().vec.FV().NumPy())
+
+
+def _hats(mesh: Any) -> Float:
+    """Integral of the hat function of each vertex, (v,)."""
+    return _moments(mesh, CoefficientFunction(1.0), 0)
+
+
+def _diagonal(matrix: csr_array) -> Int:
+    """Where the diagonal entry of each row is stored, -1 for a row without, (r,)."""
+    row = np.repeat(np.arange(matrix.shape[0], dtype=matrix.indices.dtype), np.diff(matrix.indptr))
+    place = np.flatnonzero(row == matrix.indices)
+    found = np.full(matrix.shape[0], -1)
+    found[row[place]] = place
+    return found
+
+
+def _inverse(a: Any, matrix: csr_array, diagonal: Int, nv: int, free: Any) -> Any:
+    """LDLᵀ of a matrix next to `a`, whose pressure block is made negative.
+
+    With its zero block the matrix has no LDLᵀ without pivots; with a negative one it has, in any
+    order. A small share of the diagonal of C A⁻¹ Cᵀ does, and is undone by `_refine`.
+    """
+    values = matrix.data
+    own = np.where(diagonal[:nv] >= 0, values[diagonal[:nv]], 0.0)
+    weight = np.divide(1.0, own, out=np.zeros(nv), where=own > 0.0)
+    schur = matrix[nv:, :nv].power(2) @ weight
+    used = diagonal[nv:] >= 0
+    place, shift = diagonal[nv:][used], SHIFT * schur[used]
+    kept = values[place].copy()
+    values[place] -= shift
+    inverse = a.Inverse(free, "sparsecholesky")
+    values[place] = kept
+    return inverse
+
+
+def _refine(a: Any, inverse: Any, f: Any, x: Any, free: Bool) -> None:
+    """Solve a x = f by corrections from the inverse of a nearby matrix."""
+    residual = f.CreateVector()
+    residual.data = f
+    x[:] = 0.0
+    norm = np.inf
+    for k in range(MOST_CORRECTIONS):
+        x += inverse * residual
+        residual.data = f - a * x
+        last, norm = norm, float(np.linalg.norm(residual.FV().NumPy()[free]))
+        if k >= 2 and norm > 0.5 * last:
+            break
+
+
+__all__ = ["Flow", "Mesoscale", "flow_mesh", "solve", "stokes"]
