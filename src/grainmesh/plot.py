@@ -1,0 +1,291 @@
+"""Pictures. Every function draws into ``ax``, by default new axes, and returns it.
+
+Axes are in metres, of equal scale, and end at the box; of a periodic box the images that reach into
+it are drawn. Nothing here chooses a backend or shows a window.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from io import BytesIO
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import EllipseCollection, LineCollection
+from matplotlib.colors import PowerNorm
+from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter, MaxNLocator
+from matplotlib.tri import Triangulation as Triangles
+from ngsolve import VOL, IntegrationRule, x, y
+from numpy.typing import NDArray
+from PIL import Image
+
+from grainmesh.domain import Box
+from grainmesh.fluid import Mesoscale
+from grainmesh.particles import Particles, settle
+from grainmesh.permeability import Permeability
+from grainmesh.resolved import Resolved
+from grainmesh.triangulation import Triangulation, triangulate
+
+Float = NDArray[np.float64]
+
+FIBRE, EDGE, MESH, NODE = "#c9ced6", "#5d6673", "#1f5a93", "#d1495b"
+METHOD = {"resolved": "#1f5a93", "mesoscale": "#d1495b", "microstructure": "#edae49"}
+SPEED = "viridis"
+
+#: Triangles that a picture of a flow is made of, at most about so many.
+FINEST = 400_000
+
+
+def discs(box: Box, particles: Particles, ax: Axes | None = None) -> Axes:
+    """The discs, with their periodic images.
+
+    Parameters
+    ----------
+    box : Box
+    particles : Particles
+    ax : matplotlib.axes.Axes, optional
+    """
+    ax = _frame(box, ax)
+    centre, d = _images(box, particles.x, 0.5 * particles.diameter)
+    ax.add_collection(
+        EllipseCollection(
+            *(d, d, np.zeros(len(d))),
+            units="xy",
+            offsets=centre,
+            offset_transform=ax.transData,
+            facecolors=FIBRE,
+            edgecolors=EDGE,
+            linewidths=0.4,
+        )
+    )
+    return ax
+
+
+def mesh(triangulation: Triangulation, ax: Axes | None = None) -> Axes:
+    """The triangulation, its particles as dots and the nodes on walls as squares (Fig. 1).
+
+    Parameters
+    ----------
+    triangulation : Triangulation
+    ax : matplotlib.axes.Axes, optional
+    """
+    box = triangulation.box
+    ax = _frame(box, ax)
+    i, j = triangulation.edges.T
+    start = triangulation.points[i]
+    end = triangulation.points[j] + triangulation.edge_shifts * box.size
+    half = 0.5 * np.abs(end - start).max(axis=1)
+    middle, _, which = _tiled(box, 0.5 * (start + end), half)
+    along = 0.5 * (end - start)[which]
+    lines = np.stack([middle - along, middle + along], axis=1)
+    width = min(0.8, 12.0 / np.sqrt(len(i)))
+    ax.add_collection(LineCollection(list(lines), colors=MESH, linewidths=width))
+    n, points = triangulation.n, triangulation.points
+    size = 600.0 / len(points) + 0.5
+    grain, node = points[:n].T, points[n:].T
+    ax.scatter(grain[0], grain[1], s=size, color=EDGE, lw=0, zorder=3)
+    ax.scatter(
+        node[0], node[1], s=3 * size + 3, color=NODE, marker="s", lw=0, zorder=3, clip_on=False
+    )
+    return ax
+
+
+def speed(
+    box: Box,
+    flow: Resolved | Mesoscale,
+    axis: int = 0,
+    ax: Axes | None = None,
+    *,
+    colorbar: bool = True,
+) -> Axes:
+    """Speed of a flow, over the mean superficial speed along the pressure gradient.
+
+    Parameters
+    ----------
+    box : Box
+        The box that the flow was solved in.
+    flow : Resolved or Mesoscale
+        The `detail` of a `Permeability`.
+    axis : int
+        Direction of the pressure gradient: 0 for x, 1 for y.
+    ax : matplotlib.axes.Axes, optional
+    colorbar : bool
+        Draw the scale beside the axes.
+    """
+    ax = _frame(box, ax)
+    points, triangles, velocity = sample(flow, axis)
+    mean = flow.tensor[axis, axis] / flow.scale**2
+    corners = points[triangles]
+    centre = corners.mean(axis=1)
+    centre, _, which = _tiled(box, centre, np.abs(corners - centre[:, None]).max(axis=(1, 2)))
+    moved = centre - corners.mean(axis=1)[which]
+    drawn = (corners[which] + moved[:, None]).reshape(-1, 2)
+    value = (np.hypot(*velocity.T) / mean)[triangles[which]].ravel()
+    field = ax.tripcolor(
+        Triangles(*drawn.T, np.arange(len(drawn)).reshape(-1, 3)),
+        value,
+        shading="gouraud",
+        cmap=SPEED,
+        # A few narrow gaps must not make the rest dark.
+        norm=PowerNorm(0.5, vmin=0.0, vmax=float(np.quantile(value, 0.995))),
+        rasterized=True,
+    )
+    if colorbar:
+        ax.figure.colorbar(field, ax=ax, label="speed / mean speed U", shrink=0.8, extend="max")
+    return ax
+
+
+def sample(flow: Resolved | Mesoscale, axis: int = 0) -> tuple[Float, NDArray[np.int64], Float]:
+    """A flow on straight triangles: each curved element cut into equal parts.
+
+    Parameters
+    ----------
+    flow : Resolved or Mesoscale
+    axis : int
+        Direction of the pressure gradient.
+
+    Returns
+    -------
+    points : (p, 2)
+        Coordinates [m].
+    triangles : (t, 3)
+        Corners, as indices of `points`.
+    velocity : (p, 2)
+        mu u / (G scale^2), as `flow.velocity`.
+    """
+    elements = flow.mesh.ne
+    parts = int(np.clip(np.sqrt(FINEST / elements), 1, 8))
+    i, j = np.meshgrid(np.arange(parts + 1), np.arange(parts + 1), indexing="ij")
+    inside = i + j <= parts
+    number = np.full(i.shape, -1)
+    number[inside] = np.arange(inside.sum())
+    local = np.stack([i[inside], j[inside]], axis=1) / parts
+    up, down = i + j < parts, i + j < parts - 1
+    a, b = i[up], j[up]
+    small = [np.stack([number[a, b], number[a + 1, b], number[a, b + 1]], axis=1)]
+    a, b = i[down], j[down]
+    small.append(np.stack([number[a + 1, b], number[a + 1, b + 1], number[a, b + 1]], axis=1))
+    pattern = np.concatenate(small)
+    rule = IntegrationRule(points=local.tolist(), weights=[1.0] * len(local))
+    at = flow.mesh.MapToAllElements(rule, VOL)
+    points = np.column_stack([np.ravel(c(at)) for c in (x, y)])
+    velocity = np.asarray(flow.velocity[axis](at)).reshape(-1, 2)
+    triangles = np.arange(elements)[:, None, None] * len(local) + pattern
+    return points * flow.scale, triangles.reshape(-1, 3), velocity
+
+
+def bars(results: Sequence[Permeability], ax: Axes | None = None) -> Axes:
+    """K/d2 by every method, with its estimated error.
+
+    Parameters
+    ----------
+    results : sequence of Permeability
+    ax : matplotlib.axes.Axes, optional
+    """
+    ax = plt.subplots()[1] if ax is None else ax
+    names = [r.method for r in results]
+    value = np.array([r.normalised for r in results])
+    error = np.nan_to_num([r.error for r in results], posinf=0.0)
+    ax.bar(
+        names,
+        value,
+        yerr=error * np.abs(value),
+        capsize=4,
+        color=[METHOD[name] for name in names],
+        width=0.6,
+    )
+    ax.set_ylabel("K/d²")
+    ax.spines[["top", "right"]].set_visible(False)
+    return ax
+
+
+def overview(box: Box, particles: Particles, results: Sequence[Permeability]) -> Figure:
+    """One row of pictures: fibres, and the mesh and the speed of the flows among the results.
+
+    Parameters
+    ----------
+    box : Box
+    particles : Particles
+    results : sequence of Permeability
+        Of this box, by any of the methods.
+    """
+    by = {r.method: r for r in results}
+    flow = by["resolved"].detail if "resolved" in by else None
+    titles = [f"{len(particles)} fibres, porosity {results[0].porosity:.3f}"]
+    if "mesoscale" in by:
+        titles.append(f"mesoscale mesh, {by['mesoscale'].dofs} unknowns")
+    if flow is not None:
+        titles.append(f"resolved speed, {flow.dofs} unknowns")
+    tall = 4.2 * min(max(box.height / box.width, 0.3), 2.0)
+    figure: Figure
+    figure, axes = plt.subplots(
+        1, len(titles), figsize=(4.4 * len(titles), tall + 0.5), layout="constrained", squeeze=False
+    )
+    for ax, title in zip(axes[0], titles, strict=True):
+        discs(box, particles, ax)
+        ax.set_title(title, fontsize=10)
+    if "mesoscale" in by:
+        mesh(triangulate(box, settle(box, particles)), axes[0, 1])
+    if flow is not None:
+        speed(box, flow, ax=axes[0, -1])
+    return figure
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure as a PNG file of 256 colours, a third of the size, and close it."""
+    full = BytesIO()
+    figure.savefig(full, dpi=110, format="png")
+    plt.close(figure)
+    Image.open(full).convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE).save(
+        path, optimize=True
+    )
+
+
+def _frame(box: Box, ax: Axes | None) -> Axes:
+    """Axes that show the box in metres."""
+    ax = plt.subplots()[1] if ax is None else ax
+    ax.set(xlim=(0.0, box.width), ylim=(0.0, box.height), aspect="equal")
+    for side in (ax.xaxis, ax.yaxis):
+        side.set_major_formatter(EngFormatter(unit="m", sep=" "))
+        side.set_major_locator(MaxNLocator(3))
+    return ax
+
+
+def _images(box: Box, centre: Float, reach: Float) -> tuple[Float, Float]:
+    """Centres of all images that reach into the box, and twice their reach [m]."""
+    centre, reach, _ = _tiled(box, centre, reach)
+    return centre, 2.0 * reach
+
+
+def _tiled(box: Box, centre: Float, reach: Float) -> tuple[Float, Float, NDArray[np.int64]]:
+    """Images of what lies within `reach` of `centre` that touch the box, and whose they are.
+
+    Parameters
+    ----------
+    box : Box
+    centre : (n, 2)
+    reach : (n,)
+
+    Returns
+    -------
+    centre : (m, 2)
+    reach : (m,)
+    which : (m,)
+        Index into the given ones.
+    """
+    shifts = np.zeros((1, 2))
+    if box.periodic:
+        low = -np.ceil((centre + reach[:, None]).max(axis=0) / box.size)
+        high = np.ceil((box.size - (centre - reach[:, None]).min(axis=0)) / box.size)
+        steps = [np.arange(a, b + 1) for a, b in zip(low, high, strict=True)]
+        shifts = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 2)
+    place = centre + (shifts * box.size)[:, None]
+    near = ((place > -reach[:, None]) & (place < box.size + reach[:, None])).all(axis=-1)
+    which = np.nonzero(near)[1]
+    return place[near], reach[which], which
+
+
+__all__ = ["bars", "discs", "mesh", "overview", "sample", "save", "speed"]
