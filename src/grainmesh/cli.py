@@ -1,0 +1,341 @@
+"""The command line: verbs over files, and the only module that prints.
+
+Exit status: 0 done; 2 bad input, with one plain line on stderr; 130 interrupted. Results go to
+stdout; progress, warnings and errors to stderr. Lengths on the command line are metres, as in
+Python: only the columns of a file have a unit of their own.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from io import TextIOWrapper
+from pathlib import Path
+from typing import Annotated, cast, get_args
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from grainmesh import __version__, arrange, report
+from grainmesh.closures import LAWS
+from grainmesh.domain import Box
+from grainmesh.errors import InputError
+from grainmesh.particles import Particles
+from grainmesh.permeability import METHODS, Permeability
+from grainmesh.permeability import permeability as solve
+from grainmesh.resolved import Walls
+
+#: The error of the command-line parser, wherever this version of typer takes it from.
+ParserError: type[Exception] = typer.BadParameter.__mro__[2]
+
+FILES = ("permeability.json", "permeability.csv", "permeability.png")
+FIGURES = ("fig1", "fig2")
+
+app = typer.Typer(
+    name="grainmesh",
+    help="Flow through and around many particles: the grains are the mesh.",
+    add_completion=False,
+    rich_markup_mode=None,
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        By default those of the process.
+
+    Returns
+    -------
+    int
+        The exit status.
+    """
+    for stream in (sys.stdout, sys.stderr):  # a terminal that knows no Greek gets question marks
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="replace")
+    command = typer.main.get_command(app)
+    try:
+        with command.make_context(
+            "grainmesh", list(sys.argv[1:] if arguments is None else arguments)
+        ) as context:
+            command.invoke(context)
+            sys.stdout.flush()
+        return 0
+    except typer.Exit as request:
+        return int(request.exit_code)
+    except ParserError as error:
+        where = getattr(error, "ctx", None)
+        path = where.command_path if where else "grainmesh"
+        text = error.format_message()  # type: ignore[attr-defined]
+        return _fail(f"{text.rstrip('.')}; see {path} --help")
+    except InputError as error:
+        return _fail(str(error))
+    except BrokenPipeError:  # the reader has gone, as in `| head`: nobody is left to tell
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except OSError as error:
+        what = f"{error.filename}: {error.strerror}" if error.filename else str(error)
+        return _fail(f"{what}; check the path and the space left there")
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130
+
+
+def _fail(message: str) -> int:
+    print("error: " + " ".join(message.split()), file=sys.stderr)
+    return 2
+
+
+@app.callback(invoke_without_command=True)
+def grainmesh(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+) -> None:
+    """Flow through and around many particles: the grains are the mesh."""
+    if version:
+        print(f"grainmesh {__version__}")
+    elif context.invoked_subcommand is None:
+        print(context.get_help())
+
+
+@app.command()
+def permeability(
+    file: Annotated[
+        Path,
+        typer.Argument(help="List of discs: columns x, y and one of d, r (any case, any order)."),
+    ],
+    diameter: Annotated[
+        float | None, typer.Option(help="One diameter [m] for all discs, in place of the column.")
+    ] = None,
+    unit: Annotated[float, typer.Option(help="Metres per unit of the columns of the file.")] = 1.0,
+    width: Annotated[
+        float | None, typer.Option(help="Width of the box [m]; default: bounding box of the discs.")
+    ] = None,
+    height: Annotated[float | None, typer.Option(help="Height of the box [m].")] = None,
+    window: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X0,Y0,X1,Y1", help="Take this rectangle [m] as the box; implies --crop."
+        ),
+    ] = None,
+    crop: Annotated[
+        bool, typer.Option("--crop", help="Drop discs wholly outside the box.")
+    ] = False,
+    periodic: Annotated[
+        bool, typer.Option("--periodic", help="Periodic box; needs its size or --window.")
+    ] = False,
+    walls: Annotated[
+        str | None,
+        typer.Option(help="Sides along the flow: symmetry (default) or no-slip, a channel."),
+    ] = None,
+    method: Annotated[
+        str, typer.Option(help="One or more of resolved, mesoscale, microstructure.")
+    ] = ",".join(METHODS),
+    law: Annotated[
+        str,
+        typer.Option(help=f"Drag law of mesoscale and microstructure: {', '.join(LAWS)}."),
+    ] = "microstructural",
+    tol: Annotated[float, typer.Option(help="Relative tolerance of resolved.")] = 1e-3,
+    order: Annotated[
+        int | None,
+        typer.Option(
+            help="Order of the velocity; default: as tol needs (resolved), 2 (mesoscale).",
+            min=1,
+            max=8,
+        ),
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object in place of the table.")
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option(help=f"Folder to write {', '.join(FILES)} to.")
+    ] = None,
+) -> None:
+    """Permeability of a box of discs, by up to three methods.
+
+    All lengths given here are metres; only the file's columns are multiplied by --unit. A pressure
+    drop along x gives the first column of the tensor, along y the second. Of a disc that the edge
+    of the box cuts, the part inside counts, in every method; discs wholly outside are refused
+    unless --crop drops them.
+    """
+    methods = _methods(method)
+    if law not in LAWS:
+        raise InputError(f"law '{law}' unknown: use one of {', '.join(LAWS)}")
+    if walls not in (None, *get_args(Walls)):
+        raise InputError(f"walls '{walls}' unknown: use {' or '.join(get_args(Walls))}")
+    if not 0.0 < tol < 1.0:
+        raise InputError(f"tol {tol:g} must lie between 0 and 1")
+    if periodic and walls is not None:
+        raise InputError("a periodic box has no walls: drop --walls or --periodic")
+    if order is not None and order < 3 and "resolved" in methods:
+        raise InputError(
+            f"order {order} is too low for resolved, which compares with the order below: "
+            "use 3 or more, or leave it out"
+        )
+    if out is not None:
+        report.prove_writable(out, FILES)
+    box, particles = arrange.from_csv(
+        file,
+        unit=unit,
+        diameter=diameter,
+        width=width,
+        height=height,
+        window=None if window is None else _window(window),
+        periodic=periodic,
+        crop=crop,
+    )
+    found: dict[str, Permeability] = {}
+    told: list[str] = []
+    with _progress() as tell:
+        # The cheapest first: what can fail fails before the long work.
+        for name in sorted(methods, key=METHODS.index, reverse=True):
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always")
+                try:
+                    result = solve(
+                        box,
+                        particles,
+                        name,
+                        walls=cast(Walls, walls or "symmetry"),
+                        law=LAWS[law],
+                        tol=tol,
+                        order=order,
+                        progress=_named(tell, name),
+                    )
+                except InputError as error:
+                    raise InputError(_with_file(file, str(error), crop or bool(window))) from None
+            said = [str(w.message) for w in caught]
+            told += said
+            notes = tuple(dict.fromkeys([*result.notes, *said]))
+            found[name] = replace(result, notes=notes)
+        results = [found[name] for name in methods]
+        if out is not None:
+            tell("writing")
+            _write(out, box, particles, results)
+    for text in dict.fromkeys(told):
+        print("warning: " + " ".join(text.split()), file=sys.stderr)
+    if as_json:
+        print(json.dumps(report.as_dict(results), indent=2, allow_nan=False))
+    else:
+        _show(file, results, told)
+
+
+@app.command()
+def paper(
+    figure: Annotated[str, typer.Argument(metavar="FIGURE", help="fig1 or fig2.")],
+    out: Annotated[Path, typer.Option(help="Folder to write the picture and its numbers to.")],
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer samples, fewer discs.")] = False,
+) -> None:
+    """Make a figure of the paper again (Yazdchi, Srivastava, Luding 2013), with its numbers."""
+    if figure not in FIGURES:
+        raise InputError(f"figure '{figure}' unknown: use {' or '.join(FIGURES)}")
+    report.prove_writable(out, [f"{figure}.png", f"{figure}.csv"])
+    with _progress() as tell, warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        tell("getting ready")
+        _headless()
+        from grainmesh import paper as figures
+
+        getattr(figures, figure)(out, quick=quick, progress=tell)
+    for text in dict.fromkeys(" ".join(str(w.message).split()) for w in caught):
+        print("warning: " + text, file=sys.stderr)
+    for name in (f"{figure}.png", f"{figure}.csv"):
+        print(out / name)
+
+
+def _named(tell: Callable[[str], None], method: str) -> Callable[[str], None]:
+    return lambda text: tell(f"{method}: {text}")
+
+
+def _methods(text: str) -> list[str]:
+    methods = list(dict.fromkeys(name.strip() for name in text.split(",")))
+    for name in methods:
+        if name not in METHODS:
+            raise InputError(f"method '{name}' unknown: use one or more of {', '.join(METHODS)}")
+    return methods
+
+
+def _window(text: str) -> tuple[float, float, float, float]:
+    try:
+        x0, y0, x1, y1 = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(f"window '{text}' must be four numbers in metres: x0,y0,x1,y1") from None
+    return x0, y0, x1, y1
+
+
+def _with_file(file: Path, message: str, cropped: bool) -> str:
+    """A message about the discs, with the file they came from."""
+    if message.startswith("particle"):
+        message += f" (particle 0 is the first row{' that is kept' if cropped else ''})"
+    return f"{file}: {message}"
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str], None]]:
+    """A spinner on stderr with the words last told; nothing unless it is a terminal."""
+    with Console(stderr=True).status("") as status:
+        yield lambda text: status.update(text)
+
+
+def _headless() -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+
+
+def _write(out: Path, box: Box, particles: Particles, results: Sequence[Permeability]) -> None:
+    _headless()
+    from grainmesh import plot
+
+    def as_json(path: Path) -> None:
+        text = json.dumps(report.as_dict(results), indent=2, allow_nan=False)
+        path.write_text(text + "\n", encoding="utf-8")
+
+    def as_csv(path: Path) -> None:
+        report.write_csv(path, report.rows(results), ["grainmesh permeability; SI units"])
+
+    def as_png(path: Path) -> None:
+        plot.save(plot.overview(box, particles, results), path)
+
+    report.write(out, dict(zip(FILES, (as_json, as_csv, as_png), strict=True)))
+
+
+def _show(file: Path, results: Sequence[Permeability], told: Sequence[str]) -> None:
+    """The table on stdout, and the notes under it that were not told as warnings."""
+    first = results[0]
+    print(
+        f"{file}: {first.n} discs, mean diameter {first.diameter:.4g} m, "
+        f"porosity {first.porosity:.4f}, gap {first.gap:.4g}"
+    )
+    table = Table()
+    for title in ("method", "K/d²", "error", "Kxx [m²]", "Kxy", "Kyx", "Kyy", "dofs", "s"):
+        table.add_column(title, justify="left" if title == "method" else "right", no_wrap=True)
+    for r in results:
+        table.add_row(
+            r.method,
+            f"{r.normalised:.4g}",
+            f"{100 * r.error:.2g} %",
+            *(f"{k:.3g}" for k in r.tensor.ravel()),
+            f"{r.dofs}",
+            f"{r.seconds:.2g}",
+        )
+    # A pipe has no width of its own: do not cut the table there.
+    Console(width=None if sys.stdout.isatty() else 120).print(table)
+    for r in results:
+        for note in r.notes:
+            if note not in told:
+                print(f"{r.method}: {note}")
+    if any(r.method != "resolved" for r in results):
+        print("The error of mesoscale and microstructure is that of the law for its own medium.")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
