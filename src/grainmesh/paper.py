@@ -1,0 +1,256 @@
+"""Figures of the paper again: Yazdchi, Srivastava & Luding, Powders & Grains 2013.
+
+Each function writes a picture and the numbers in it. What the paper does not give is chosen here
+and said so: for Fig. 2 the channel is 10 mm high and holds water, which makes it Stokes flow (a
+Reynolds number of a fibre below one); the mean velocity scales as G H²/mu.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+
+from grainmesh import __version__, arrange, fluid, plot, report
+from grainmesh.cells import cells
+from grainmesh.closures import Law, Microstructural, SquareLattice
+from grainmesh.domain import Box
+from grainmesh.particles import Particles
+from grainmesh.permeability import permeability
+from grainmesh.triangulation import triangulate
+
+Row = dict[str, Any]
+Tell = Callable[[str], None]
+Run = tuple[Law, fluid.Kernel, int]  # drag law, kernel, order
+
+#: Fig. 2: pressure gradient of the paper [Pa/m]; height [m] and viscosity [Pa s] are ours.
+GRADIENT, HEIGHT, VISCOSITY = 5.0, 0.01, 1e-3
+#: Least gap of random discs over the diameter, ours: keeps meshes of narrow gaps small.
+MIN_GAP = 0.05
+#: Tolerance of the resolved flows.
+TOL = 5e-3
+
+
+def fig1(out: Path, *, quick: bool = False, progress: Tell = lambda _: None) -> None:
+    """800 random discs at porosity 0.6 in a box with walls, and their Delaunay mesh.
+
+    Parameters
+    ----------
+    out : Path
+        Folder for fig1.png and fig1.csv.
+    quick : bool
+        200 discs.
+    progress : callable, optional
+        Is told each stage in a few words.
+    """
+    n = 200 if quick else 800
+    progress(f"{n} random discs")
+    box, particles = arrange.random(n, porosity=0.6, diameter=0.01, periodic=False, seed=1)
+    mesh = triangulate(box, particles)
+    angles = np.degrees(mesh.angles)
+    numbers = {
+        "discs": n,
+        "porosity": 1.0 - float(cells(box, particles).solid.sum()) / box.area,
+        "triangles": len(mesh.triangles),
+        "wall_nodes": len(mesh.points) - n,
+        "gamma": mesh.gap_shortest,
+        "gamma_second": mesh.gap_second,
+        "smallest_angle_deg": float(angles.min()),
+        "mean_smallest_angle_deg": float(angles.min(axis=1).mean()),
+        "largest_angle_deg": float(angles.max()),
+    }
+    progress("drawing")
+    figure, ax = plt.subplots(figsize=(7, 7), layout="constrained")
+    plot.discs(box, particles, ax)
+    plot.mesh(mesh, ax)
+    ax.set_title(f"{n} discs, porosity 0.6: {len(mesh.triangles)} triangles", fontsize=10)
+    report.write(
+        out,
+        {
+            "fig1.png": lambda path: plot.save(figure, path),
+            "fig1.csv": lambda path: report.write_csv(path, [numbers], _made("fig1", quick)),
+        },
+    )
+
+
+def fig2(out: Path, *, quick: bool = False, progress: Tell = lambda _: None) -> None:
+    """Mean velocity against porosity in a square channel with no-slip top and bottom.
+
+    Ordered 10 x 10 with the exact law of the square lattice; random with Eq. (4), as published and
+    with C refitted to resolved periodic cells of the same porosity. All with the gap of the channel
+    itself, all over the resolved flow around the same discs.
+
+    Parameters
+    ----------
+    out : Path
+        Folder for fig2.png and fig2.csv.
+    quick : bool
+        Fewer porosities, samples and discs.
+    progress : callable, optional
+        Is told each stage in a few words.
+    """
+    rows: list[Row] = []
+    for porosity in (0.4, 0.6, 0.9) if quick else (0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95):
+        progress(f"ordered, porosity {porosity}")
+        box, particles = arrange.square(
+            10, 10, porosity=porosity, diameter=_diameter(100, porosity), periodic=False
+        )
+        exact = SquareLattice()
+        runs: list[Run] = [(exact, "hat", 2), (exact, "hat", 4), (exact, "delta", 2)]
+        runs.append((exact, "delta", 4))
+        rows += _channel({"array": "ordered", "porosity": porosity}, box, particles, runs)
+    n, samples = (50, 2) if quick else (200, 5)
+    for porosity in (0.5, 0.7, 0.9) if quick else (0.4, 0.5, 0.6, 0.7, 0.8, 0.9):
+        progress(f"random, porosity {porosity}: fitting C")
+        fitted = _fit(porosity, n=50 if quick else 100, samples=samples)
+        runs = [(Microstructural(), "hat", 2), (fitted, "hat", 2), (Microstructural(), "delta", 2)]
+        for seed in range(samples):
+            progress(f"random, porosity {porosity}, sample {seed + 1} of {samples}")
+            box, particles = arrange.random(
+                n,
+                porosity=porosity,
+                diameter=_diameter(n, porosity),
+                min_gap=MIN_GAP,
+                seed=seed,
+                periodic=False,
+            )
+            rows += _channel(
+                {"array": "random", "porosity": porosity, "sample": seed}, box, particles, runs
+            )
+    progress("drawing")
+    comments = [
+        *_made("fig2", quick),
+        f"pressure gradient {GRADIENT:g} Pa/m (paper); height and width {HEIGHT:g} m, viscosity "
+        f"{VISCOSITY:g} Pa s, random discs at least {MIN_GAP:g} d apart (ours)",
+        "U: mean superficial velocity [m/s]; ratio: over resolved, the same discs; C: Eq. (4)",
+    ]
+    report.write(
+        out,
+        {
+            "fig2.png": lambda path: plot.save(_draw_fig2(rows), path),
+            "fig2.csv": lambda path: report.write_csv(path, rows, comments),
+        },
+    )
+
+
+def _made(figure: str, quick: bool) -> list[str]:
+    return [f"made by: grainmesh paper {figure}{' --quick' if quick else ''} ({__version__})"]
+
+
+def _diameter(n: int, porosity: float) -> float:
+    """Diameter [m] of n discs in the square channel."""
+    return float(HEIGHT * np.sqrt((1.0 - porosity) * 4.0 / np.pi / n))
+
+
+def _channel(head: Row, box: Box, particles: Particles, runs: Iterable[Run]) -> list[Row]:
+    """Rows of one channel: resolved, then mesoscale for each law, kernel and order."""
+    exact = permeability(box, particles, "resolved", walls="no-slip", tol=TOL)
+    assert exact.detail is not None
+    scale = GRADIENT / VISCOSITY
+    truth = float(exact.tensor[0, 0]) * scale
+
+    def row(method: str, kernel: str, order: int, law: Law | None, dofs: int, U: float) -> Row:
+        return {
+            **{"array": "", "porosity": 0.0, "sample": 0},
+            **head,
+            "method": method,
+            "kernel": kernel,
+            "order": order,
+            "law": "" if law is None else law.name,
+            "C": law.C if isinstance(law, Microstructural) else None,
+            "dofs": dofs,
+            "U": U,
+            "ratio": U / truth,
+        }
+
+    rows = [row("resolved", "", exact.detail.order, None, exact.dofs, truth)]
+    for law, kernel, order in runs:
+        flow = fluid.solve(box, particles, law, order=order, kernel=kernel, walls="no-slip")
+        U = float(flow.tensor[0, 0]) * scale
+        rows.append(row("mesoscale", kernel, order, law, flow.dofs, U))
+    return rows
+
+
+def _fit(porosity: float, *, n: int, samples: int) -> Microstructural:
+    """Eq. (4) with C fitted to resolved periodic cells of random discs, by the mean of log C."""
+    C = []
+    for seed in range(samples):
+        box, particles = arrange.random(
+            n, porosity=porosity, diameter=1.0, min_gap=MIN_GAP, seed=100 + seed
+        )
+        found = permeability(box, particles, "resolved", tol=TOL)
+        C.append(
+            Microstructural().C * found.normalised / float(Microstructural()(porosity, found.gap))
+        )
+    return Microstructural(C=float(np.exp(np.log(C).mean())))
+
+
+def _pick(rows: Sequence[Row], **wanted: Any) -> tuple[Any, Any, Any]:
+    """Porosity, velocity and ratio of the rows that have all of the wanted values."""
+    found = [r for r in rows if all(r[key] == value for key, value in wanted.items())]
+    porosity, U, ratio = np.array([(r["porosity"], r["U"], r["ratio"]) for r in found]).T
+    return porosity, U, ratio
+
+
+def _draw_fig2(rows: Sequence[Row]) -> Any:
+    figure, axes = plt.subplots(
+        *(2, 2),
+        figsize=(10, 6.6),
+        sharex="col",
+        sharey="row",
+        height_ratios=(2.2, 1.0),
+        layout="constrained",
+    )
+    published = Microstructural().C
+    refitted = [r for r in rows if r["C"] not in (None, published)]
+    plain = [r for r in rows if r["C"] in (None, published)]
+    red, blue, amber, grey = (
+        *(plot.METHOD[k] for k in ("mesoscale", "resolved", "microstructure")),
+        "#8a8f98",
+    )
+    for column, (array, title) in enumerate(
+        (("ordered", "(a) ordered 10 x 10"), ("random", "(b) random"))
+    ):
+        top, low = axes[:, column]
+        top.set_title(title, fontsize=11)
+        eps, U, _ = _pick(rows, array=array, method="resolved")
+        top.semilogy(eps, U, "o", mfc="none", ms=7, color=blue, label="resolved")
+        law = "Eq. (4)" if array == "random" else "lattice law"
+        lines = [
+            (plain, "hat", 2, "-", red, f"mesoscale, {law}"),
+            (plain, "delta", 2, ":", grey, "delta kernel, k = 2"),
+        ]
+        if array == "random":
+            lines.insert(1, (refitted, "hat", 2, "--", amber, "mesoscale, C refitted"))
+        else:
+            lines.insert(1, (plain, "hat", 4, "--", amber, "the same, k = 4"))
+            lines.append((plain, "delta", 4, "-.", grey, "delta kernel, k = 4"))
+        for some, kernel, order, style, colour, label in lines:
+            eps, U, ratio = _pick(some, array=array, method="mesoscale", kernel=kernel, order=order)
+            _line(top, eps, U, style, colour, label)
+            if kernel == "hat":
+                _line(low, eps, ratio, style, colour, label)
+                low.plot(eps, ratio, ".", color=colour, ms=4)
+        top.legend(frameon=False, fontsize=9)
+        low.axhline(1.0, color=blue, lw=0.8)
+        low.axhspan(0.9, 1.1, color=blue, alpha=0.08, lw=0)
+        low.set_xlabel("porosity")
+        for ax in (top, low):
+            ax.spines[["top", "right"]].set_visible(False)
+    axes[0, 0].set_ylabel("mean velocity U [m/s]")
+    axes[1, 0].set_ylabel("U / resolved")
+    return figure
+
+
+def _line(ax: Axes, x: Any, y: Any, style: str, colour: str, label: str) -> None:
+    """Geometric mean over the samples at each x."""
+    at = np.unique(x)
+    mean = [np.exp(np.log(y[x == value]).mean()) for value in at]
+    ax.plot(at, mean, style, color=colour, label=label, lw=1.6)
+
+
+__all__ = ["fig1", "fig2"]
