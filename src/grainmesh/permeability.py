@@ -26,7 +26,7 @@ from grainmesh.cells import cells
 from grainmesh.closures import ClosureWarning, Law, Microstructural
 from grainmesh.domain import Box
 from grainmesh.errors import InputError
-from grainmesh.holes import CLOSED
+from grainmesh.links import CLOSED
 from grainmesh.particles import Particles, settle
 from grainmesh.triangulation import Triangulation, triangulate
 

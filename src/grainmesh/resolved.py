@@ -47,7 +47,14 @@ from grainmesh.particles import Particles, settle
 Float = NDArray[np.float64]
 Walls = Literal["symmetry", "no-slip"]
 
-HIGHEST = 8
+#: Orders of the velocity tried.
+LOWEST, HIGHEST = 2, 8
+#: Sweeps of iterative refinement at most, and the relative change that ends them.
+SWEEPS, ROUNDOFF = 20, 1e-11
+#: Share of the pressure's own stiffness that is added to its diagonal for the factorisation only.
+PIVOT = 1e-8
+#: The steps from order to order are taken to shrink by no less and no more than this.
+RATIO = (0.2, 0.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +129,8 @@ def solve(
     """
     if walls not in ("symmetry", "no-slip"):
         raise InputError(f"walls '{walls}' unknown: use symmetry or no-slip")
+    if order is not None and not LOWEST < order <= HIGHEST:
+        raise InputError(f"order {order} of the resolved flow must be {LOWEST + 1} to {HIGHEST}")
     particles = settle(box, particles)
     scale = particles.mean_diameter
     unit_box = Box(box.width / scale, box.height / scale, box.periodic)
@@ -129,7 +138,7 @@ def solve(
     progress("meshing the pores")
     pores = pore_mesh(unit_box, unit, (maxh or scale) / scale)
     solid = cells(unit_box, unit).solid
-    orders = range(2, HIGHEST + 1) if order is None else (order - 1, order)
+    orders = range(LOWEST, HIGHEST + 1) if order is None else (order - 1, order)
     found: list[_Solution] = []
     error = np.inf
     for k in orders:
@@ -142,10 +151,11 @@ def solve(
     vertex, disc = pores.disc_vertices()
     force = np.zeros((2, len(unit), 2))
     held = solid * ((unit_box.area - last.area) / solid.sum())  # areas as the mesh has them
-    for k in range(2):
+    for along in range(2):
         for axis in range(2):
-            force[k, :, axis] = np.bincount(disc, last.reaction[k][axis][vertex], len(unit))
-        force[k, :, k] += held
+            reaction = last.reaction[along][axis][vertex]
+            force[along, :, axis] = np.bincount(disc, reaction, len(unit))
+        force[along, :, along] += held
     return Resolved(
         tensor=last.mean * scale**2,
         force=force * scale**2,
@@ -160,12 +170,16 @@ def solve(
 
 
 def _estimate(tensors: list[Float]) -> float:
-    """Relative error of the last of a sequence of tensors of growing order."""
+    """Relative error of the last of a sequence of tensors of growing order.
+
+    The steps between orders shrink by a ratio q, so what is left is step * q / (1 - q).
+    """
     if len(tensors) < 2:
         return np.inf
     size = np.linalg.norm(tensors[-1])
     steps = [float(np.linalg.norm(b - a) / size) for a, b in pairwise(tensors)]
-    return steps[-1]
+    ratio = np.clip(steps[-1] / steps[-2], *RATIO) if len(steps) > 1 else RATIO[1]
+    return float(steps[-1] * ratio / (1.0 - ratio))
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +197,7 @@ def _stokes(box: Box, pores: Any, order: int, walls: Walls) -> _Solution:
     runs = [(0, 1)] if box.periodic else [(0,), (1,)]
     with TaskManager():
         parts = [_run(box, mesh, order, walls, axes) for axes in runs]
-        area = Integrate(CoefficientFunction(1.0), mesh)
+        area = Integrate(CoefficientFunction(1.0), mesh, order=3 * order)
     flows = [flow for part in parts for flow in part]
     return _Solution(
         mean=np.column_stack([f[0] for f in flows]),
@@ -211,18 +225,24 @@ def _run(box: Box, mesh: Any, order: int, walls: Walls, axes: tuple[int, ...]) -
     X = V * Q
     (u, p), (v, q) = X.TnT()
     stokes = InnerProduct(Grad(u), Grad(v)) - div(u) * q - div(v) * p
-    a = BilinearForm((stokes - 1e-10 * p * q) * dx, condense=True)
-    a.Assemble()
-    inverse = a.mat.Inverse(X.FreeDofs(True), "sparsecholesky")
+    a = BilinearForm(stokes * dx, condense=True).Assemble()
+    inverse = _factorised(a.mat, X, V.ndof)
+    loads = [LinearForm(v[k] * dx).Assemble().vec for k in range(2)]
     flows = []
     for k in axes:
-        f = LinearForm(v[k] * dx).Assemble().vec
-        f.data += a.harmonic_extension_trans * f
+        f = loads[k].CreateVector()
+        f.data = loads[k] + a.harmonic_extension_trans * loads[k]
         flow = GridFunction(X)
-        flow.vec.data = inverse * f
-        residual = f.CreateVector()
-        residual.data = f - a.mat * flow.vec
-        flow.vec.data += inverse * residual
+        residual, change = f.CreateVector(), f.CreateVector()
+        for _ in range(SWEEPS):
+            residual.data = f - a.mat * flow.vec
+            change.data = inverse * residual
+            flow.vec.data += change
+            new, whole = (np.linalg.norm(z.FV().NumPy()[: V.ndof]) for z in (change, flow.vec))
+            if new <= ROUNDOFF * whole:
+                break
+        else:
+            raise RuntimeError("the linear solver did not converge")
         residual.data = a.mat * flow.vec - f
         flow.vec.data += a.harmonic_extension * flow.vec
         flow.vec.data += a.inner_solve * f
@@ -230,6 +250,30 @@ def _run(box: Box, mesh: Any, order: int, walls: Walls, axes: tuple[int, ...]) -
         n = V.ndof // 2
         reaction = -np.stack([values[: mesh.nv], values[n : n + mesh.nv]])
         velocity = flow.components[0]
-        mean = np.array(Integrate(velocity, mesh)) / box.area
+        mean = np.array([load.InnerProduct(flow.vec) for load in loads]) / box.area
         flows.append((mean, reaction, X.ndof, velocity))
     return flows
+
+
+def _factorised(matrix: Any, space: Any, first: int) -> Any:
+    """Factorisation L D Lᵀ of a saddle-point matrix whose pressures start at unknown `first`.
+
+    A zero on the diagonal is no pivot, so the pressures get -PIVOT diag(B A⁻¹ Bᵀ), with diag(A) for
+    A. The matrix itself is left as it was: refinement with it removes what was added.
+    """
+    values, columns, start = matrix.CSR()
+    values, columns = values.NumPy(), np.asarray(columns)
+    row = np.repeat(np.arange(matrix.height), np.diff(np.asarray(start).astype(np.int64)))
+    diagonal = np.flatnonzero(columns == row)
+    stiffness = np.ones(matrix.height)
+    stiffness[row[diagonal]] = values[diagonal]
+    coupling = np.flatnonzero((row >= first) & (columns < first))
+    own = np.bincount(
+        row[coupling], values[coupling] ** 2 / stiffness[columns[coupling]], matrix.height
+    )
+    pressure = diagonal[row[diagonal] >= first]
+    kept = values[pressure].copy()
+    values[pressure] -= PIVOT * own[row[pressure]]
+    inverse = matrix.Inverse(space.FreeDofs(True), "sparsecholesky")
+    values[pressure] = kept
+    return inverse
