@@ -1,0 +1,141 @@
+"""Pictures: what is drawn is what was computed."""
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import grainmesh as gm
+from grainmesh import plot
+
+
+@pytest.fixture(autouse=True)
+def _close():
+    yield
+    plt.close("all")
+
+
+@pytest.fixture(scope="module", params=[True, False], ids=["periodic", "walls"])
+def case(request):
+    box, particles = gm.arrange.random(
+        12, porosity=0.7, diameter=1e-5, min_gap=0.1, seed=3, periodic=request.param
+    )
+    results = [gm.permeability(box, particles, m, tol=2e-2) for m in ("resolved", "mesoscale")]
+    return box, particles, results
+
+
+def areas(corners):
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    return 0.5 * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+
+
+def test_sample_covers_the_fluid_and_carries_its_flux(case):
+    box, _, (exact, coarse) = case
+    for result, fluid in ((exact, exact.porosity), (coarse, 1.0)):
+        points, triangles, velocity = plot.sample(result.detail)
+        area = areas(points[triangles])
+        assert (area > 0.0).all()
+        assert area.sum() / box.area == pytest.approx(fluid, rel=2e-3)
+        if result is exact:
+            mean = (area[:, None] * velocity[triangles].mean(axis=1)).sum(axis=0) / box.area
+            tensor = result.tensor[:, 0] / result.detail.scale**2
+            np.testing.assert_allclose(mean, tensor, atol=5e-3 * abs(tensor[0]))
+
+
+def test_images_of_triangles_tile_a_periodic_box(case):
+    """Of every triangle exactly one image has its middle in the box."""
+    box, _, (exact, _) = case
+    points, triangles, _ = plot.sample(exact.detail)
+    middle = points[triangles].mean(axis=1)
+    place, _, which = plot._tiled(box, middle, np.full(len(middle), 0.3 * box.width))
+    inside = ((place >= 0.0) & (place < box.size)).all(axis=1)
+    np.testing.assert_array_equal(np.sort(which[inside]), np.arange(len(middle)))
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.lists(st.tuples(*[st.floats(-3.0, 4.0)] * 2, st.floats(0.01, 1.5)), min_size=1, max_size=6)
+)
+def test_tiled_finds_every_image(discs):
+    box = gm.Box(1.0, 2.0, periodic=True)
+    table = np.array(discs)
+    centre, reach = table[:, :2], table[:, 2]
+    place, size, which = plot._tiled(box, centre, reach)
+    np.testing.assert_array_equal(size, reach[which])
+    steps = np.arange(-9, 10)
+    for i in range(len(table)):
+        x, y = (centre[i, k] + steps * box.size[k] for k in (0, 1))
+        near = [(v > -reach[i]) & (v < box.size[k] + reach[i]) for k, v in enumerate((x, y))]
+        assert (which == i).sum() == near[0].sum() * near[1].sum()
+    np.testing.assert_allclose(
+        np.mod((place - centre[which]) / box.size + 0.5, 1.0), 0.5, atol=1e-9
+    )
+
+
+def test_axes_are_returned_and_end_at_the_box(case):
+    box, particles, (exact, coarse) = case
+    draw = [
+        lambda ax: plot.discs(box, particles, ax),
+        lambda ax: plot.mesh(gm.triangulate(box, particles), ax),
+        lambda ax: plot.speed(box, exact.detail, 1, ax),
+        lambda ax: plot.speed(box, coarse.detail, 0, ax, colorbar=False),
+    ]
+    for function in draw:
+        _, mine = plt.subplots()
+        assert function(mine) is mine
+        new = function(None)
+        assert new is not mine
+        for ax in (mine, new):
+            assert (ax.get_xlim(), ax.get_ylim()) == ((0.0, box.width), (0.0, box.height))
+            assert ax.get_aspect() == 1.0
+
+
+def test_every_edge_and_wall_node_is_drawn():
+    box, particles = gm.arrange.random(20, porosity=0.7, diameter=1.0, periodic=False)
+    mesh = gm.triangulate(box, particles)
+    ax = plot.mesh(mesh)
+    lines, dots, squares = ax.collections
+    drawn = np.array(lines.get_segments())
+    length = np.sort(np.hypot(*(drawn[:, 1] - drawn[:, 0]).T))
+    np.testing.assert_allclose(length, np.sort(mesh.edge_lengths))
+    np.testing.assert_array_equal(dots.get_offsets(), mesh.points[: mesh.n])
+    np.testing.assert_array_equal(squares.get_offsets(), mesh.points[mesh.n :])
+
+
+def test_speed_is_over_the_mean(case):
+    """The colours do not depend on the unit of length or the size of the flow."""
+    box, particles, (exact, _) = case
+    large = gm.Box(1e5 * box.width, 1e5 * box.height, box.periodic)
+    other = gm.Particles(1e5 * particles.x, 1e5 * particles.diameter)
+    again = gm.permeability(large, other, "resolved", tol=2e-2).detail
+    top = [
+        plot.speed(b, flow).collections[-1].get_clim()[1]
+        for b, flow in ((box, exact.detail), (large, again))
+    ]
+    assert top[0] == pytest.approx(top[1], rel=1e-2)
+    assert top[0] > 1.0
+
+
+def test_bars(case):
+    _, _, results = case
+    ax = plot.bars(results)
+    heights = [bar.get_height() for bar in ax.patches]
+    np.testing.assert_allclose(heights, [r.normalised for r in results])
+    assert [t.get_text() for t in ax.get_xticklabels()] == ["resolved", "mesoscale"]
+
+
+def test_overview_is_a_small_file(case, tmp_path):
+    box, particles, results = case
+    for some in (results, results[:1], results[1:]):
+        figure = plot.overview(box, particles, some)
+        titles = [ax.get_title() for ax in figure.axes]
+        assert any("mesh" in t for t in titles) == ("mesoscale" in [r.method for r in some])
+        assert any("speed" in t for t in titles) == ("resolved" in [r.method for r in some])
+        plot.save(figure, tmp_path / "x.png")
+        assert not plt.fignum_exists(figure.number)
+        assert 5_000 < (tmp_path / "x.png").stat().st_size < 300_000
