@@ -523,7 +523,9 @@ def _spaces(
     if order == 1:
         V.SetOrder(TRIG, 3)  # the bubble of MINI
         V.Update()
-    return Periodic(V), Periodic(Q)
+    if mesh.GetPeriodicNodePairs(VERTEX):  # only then: the wrapper forgets dirichletx
+        V, Q = Periodic(V), Periodic(Q)
+    return V, Q
 
 
 def _linear(mesh: Any, values: Float) -> Any:
