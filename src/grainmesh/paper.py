@@ -19,7 +19,7 @@ from grainmesh import __version__, arrange, fluid, plot, report
 from grainmesh.cells import cells
 from grainmesh.closures import Law, Microstructural, SquareLattice
 from grainmesh.domain import Box
-from grainmesh.particles import Particles
+from grainmesh.particles import Particles, touches
 from grainmesh.permeability import permeability
 from grainmesh.triangulation import triangulate
 
@@ -32,7 +32,7 @@ GRADIENT, HEIGHT, VISCOSITY = 5.0, 0.01, 1e-3
 #: Least gap of random discs over the diameter, ours: keeps meshes of narrow gaps small.
 MIN_GAP = 0.05
 #: Tolerance of the resolved flows.
-TOL = 5e-3
+TOL = 1e-2
 
 
 def fig1(out: Path, *, quick: bool = False, progress: Tell = lambda _: None) -> None:
@@ -80,9 +80,9 @@ def fig1(out: Path, *, quick: bool = False, progress: Tell = lambda _: None) -> 
 def fig2(out: Path, *, quick: bool = False, progress: Tell = lambda _: None) -> None:
     """Mean velocity against porosity in a square channel with no-slip top and bottom.
 
-    Ordered 10 x 10 with the exact law of the square lattice; random with Eq. (4), as published and
-    with C refitted to resolved periodic cells of the same porosity. All with the gap of the channel
-    itself, all over the resolved flow around the same discs.
+    Ordered 10 x 10 with the exact law of the square lattice. Random, as windows of periodic media,
+    with Eq. (4) as published and with C fitted to the resolved flow through the periodic medium.
+    All with the gaps of the channel itself, compared with the resolved flow around the same discs.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def fig2(out: Path, *, quick: bool = False, progress: Tell = lambda _: None) -> 
         Is told each stage in a few words.
     """
     rows: list[Row] = []
-    for porosity in (0.4, 0.6, 0.9) if quick else (0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95):
+    for porosity in (0.4, 0.8) if quick else (0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95):
         progress(f"ordered, porosity {porosity}")
         box, particles = arrange.square(
             10, 10, porosity=porosity, diameter=_diameter(100, porosity), periodic=False
@@ -104,23 +104,16 @@ def fig2(out: Path, *, quick: bool = False, progress: Tell = lambda _: None) -> 
         runs.append((exact, "delta", 4))
         rows += _channel({"array": "ordered", "porosity": porosity}, box, particles, runs)
     n, samples = (50, 2) if quick else (200, 5)
-    for porosity in (0.5, 0.7, 0.9) if quick else (0.4, 0.5, 0.6, 0.7, 0.8, 0.9):
-        progress(f"random, porosity {porosity}: fitting C")
-        fitted = _fit(porosity, n=50 if quick else 100, samples=samples)
-        runs = [(Microstructural(), "hat", 2), (fitted, "hat", 2), (Microstructural(), "delta", 2)]
+    for porosity in (0.5, 0.8) if quick else (0.4, 0.5, 0.6, 0.7, 0.8, 0.9):
         for seed in range(samples):
             progress(f"random, porosity {porosity}, sample {seed + 1} of {samples}")
-            box, particles = arrange.random(
-                n,
-                porosity=porosity,
-                diameter=_diameter(n, porosity),
-                min_gap=MIN_GAP,
-                seed=seed,
-                periodic=False,
-            )
-            rows += _channel(
-                {"array": "random", "porosity": porosity, "sample": seed}, box, particles, runs
-            )
+            d = _diameter(n, porosity)
+            cell = arrange.random(n, porosity=porosity, diameter=d, min_gap=MIN_GAP, seed=seed)
+            box, particles = _window(*cell)
+            published, fitted = Microstructural(), _fitted(*cell)
+            runs = [(published, "hat", 2), (fitted, "hat", 2), (published, "delta", 2)]
+            head = {"array": "random", "porosity": porosity, "sample": seed}
+            rows += _channel(head, box, particles, runs)
     progress("drawing")
     comments = [
         *_made("fig2", quick),
@@ -175,18 +168,21 @@ def _channel(head: Row, box: Box, particles: Particles, runs: Iterable[Run]) -> 
     return rows
 
 
-def _fit(porosity: float, *, n: int, samples: int) -> Microstructural:
-    """Eq. (4) with C fitted to resolved periodic cells of random discs, by the mean of log C."""
-    C = []
-    for seed in range(samples):
-        box, particles = arrange.random(
-            n, porosity=porosity, diameter=1.0, min_gap=MIN_GAP, seed=100 + seed
-        )
-        found = permeability(box, particles, "resolved", tol=TOL)
-        C.append(
-            Microstructural().C * found.normalised / float(Microstructural()(porosity, found.gap))
-        )
-    return Microstructural(C=float(np.exp(np.log(C).mean())))
+def _window(box: Box, particles: Particles) -> tuple[Box, Particles]:
+    """A periodic cell as a box with walls: the medium goes on up to them, and they cut discs."""
+    steps = np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1)), axis=-1).reshape(-1, 2)
+    x = (particles.x + (steps * box.size)[:, None]).reshape(-1, 2)
+    images = Particles(x, np.tile(particles.diameter, len(steps)))
+    cut = Box(box.width, box.height)
+    return cut, images.select(touches(cut, images))
+
+
+def _fitted(box: Box, particles: Particles) -> Microstructural:
+    """Eq. (4) with C such that it gives the resolved permeability of this periodic cell along x."""
+    found = permeability(box, particles, "resolved", tol=TOL)
+    exact = float(found.tensor[0, 0]) / found.diameter**2
+    law = Microstructural()
+    return Microstructural(C=law.C * exact / float(law(found.porosity, found.gap)))
 
 
 def _pick(rows: Sequence[Row], **wanted: Any) -> tuple[Any, Any, Any]:
@@ -206,7 +202,7 @@ def _draw_fig2(rows: Sequence[Row]) -> Any:
         layout="constrained",
     )
     published = Microstructural().C
-    refitted = [r for r in rows if r["C"] not in (None, published)]
+    fitted = [r for r in rows if r["C"] not in (None, published)]
     plain = [r for r in rows if r["C"] in (None, published)]
     red, blue, amber, grey = (
         *(plot.METHOD[k] for k in ("mesoscale", "resolved", "microstructure")),
@@ -225,7 +221,7 @@ def _draw_fig2(rows: Sequence[Row]) -> Any:
             (plain, "delta", 2, ":", grey, "delta kernel, k = 2"),
         ]
         if array == "random":
-            lines.insert(1, (refitted, "hat", 2, "--", amber, "mesoscale, C refitted"))
+            lines.insert(1, (fitted, "hat", 2, "--", amber, "mesoscale, C fitted"))
         else:
             lines.insert(1, (plain, "hat", 4, "--", amber, "the same, k = 4"))
             lines.append((plain, "delta", 4, "-.", grey, "delta kernel, k = 4"))
