@@ -91,6 +91,7 @@ BAD_OPTIONS = {
     "reversed window": (("--window", "40,0,0,40"), "window"),
     "window and width": ((*FAST, "--window", "0,0,40,40"), "window"),
     "empty window": (("--window", "100,100,140,140"), "no disc"),
+    "box in the unit of the file": ((*FAST, "--unit", "1e-6"), "metres"),
     "tolerance": ((*FAST, "--tol", "0"), "tol"),
     "text for a number": (("--tol", "small"), "--tol"),
     "order of resolved": (("--order", "2", "--method", "resolved"), "order"),

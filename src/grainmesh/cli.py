@@ -18,6 +18,7 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import Annotated, cast, get_args
 
+import numpy as np
 import typer
 from rich.console import Console
 from rich.table import Table
@@ -192,6 +193,12 @@ def permeability(
         periodic=periodic,
         crop=crop,
     )
+    extent = np.ptp(particles.x, axis=0) + particles.diameter.max()
+    if (extent < 1e-3 * box.size).all():  # 40 for 40e-6 would ask for a mesh without end
+        raise InputError(
+            f"{file}: the discs span {extent.max():g} m only of a box {box.width:g} m wide: "
+            "--width, --height and --window are metres"
+        )
     found: dict[str, Permeability] = {}
     told: list[str] = []
     with _progress() as tell:
