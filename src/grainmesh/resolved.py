@@ -24,11 +24,9 @@ import numpy as np
 from ngsolve import (
     H1,
     BilinearForm,
-    CoefficientFunction,
     Grad,
     GridFunction,
     InnerProduct,
-    Integrate,
     LinearForm,
     Periodic,
     TaskManager,
@@ -43,16 +41,13 @@ from grainmesh.domain import Box
 from grainmesh.errors import InputError
 from grainmesh.holes import pore_mesh
 from grainmesh.particles import Particles, settle
+from grainmesh.saddle import SaddleFactor
 
 Float = NDArray[np.float64]
 Walls = Literal["symmetry", "no-slip"]
 
 #: Orders of the velocity tried.
 LOWEST, HIGHEST = 2, 8
-#: Sweeps of iterative refinement at most, and the relative change that ends them.
-SWEEPS, ROUNDOFF = 20, 1e-11
-#: Share of the pressure's own stiffness that is added to its diagonal for the factorisation only.
-PIVOT = 1e-8
 #: The steps from order to order are taken to shrink by no less and no more than this.
 RATIO = (0.2, 0.5)
 
@@ -139,32 +134,30 @@ def solve(
     pores = pore_mesh(unit_box, unit, (maxh or scale) / scale)
     solid = cells(unit_box, unit).solid
     orders = range(LOWEST, HIGHEST + 1) if order is None else (order - 1, order)
-    found: list[_Solution] = []
-    error = np.inf
+    tensors: list[Float] = []
     for k in orders:
         progress(f"Stokes flow, order {k}")
-        found.append(_stokes(unit_box, pores, k, walls))
-        error = _estimate([s.mean for s in found])
+        flows = _stokes(unit_box, pores.mesh, k, walls)
+        tensors.append(np.column_stack([flow.mean for flow in flows]))
+        error = _estimate(tensors)
         if order is None and error < tol:
             break
-    last = found[-1]
     vertex, disc = pores.disc_vertices()
     force = np.zeros((2, len(unit), 2))
-    held = solid * ((unit_box.area - last.area) / solid.sum())  # areas as the mesh has them
-    for along in range(2):
+    for along, flow in enumerate(flows):
         for axis in range(2):
-            reaction = last.reaction[along][axis][vertex]
-            force[along, :, axis] = np.bincount(disc, reaction, len(unit))
-        force[along, :, along] += held
+            force[along, :, axis] = np.bincount(disc, flow.reaction[axis, vertex], len(unit))
+        # The mean pressure gradient acts on the discs too; areas are scaled to the mesh's.
+        force[along, :, along] += solid * ((unit_box.area - flow.area) / solid.sum())
     return Resolved(
-        tensor=last.mean * scale**2,
+        tensor=tensors[-1] * scale**2,
         force=force * scale**2,
-        error=float(error),
+        error=error,
         order=k,
-        dofs=last.dofs,
+        dofs=flows[0].dofs,
         closed=pores.closed,
         mesh=pores.mesh,
-        velocity=last.velocity,
+        velocity=(flows[0].velocity, flows[1].velocity),
         scale=scale,
     )
 
@@ -183,97 +176,60 @@ def _estimate(tensors: list[Float]) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class _Solution:
-    mean: Float  # (2, 2) mean velocities, column per direction
-    reaction: tuple[Float, Float]  # per direction (2, mesh vertices): residual at each vertex
+class _Flow:
+    """Flow along one axis for mu = G = 1."""
+
+    mean: Float  # (2,) superficial velocity
+    reaction: Float  # (2, mesh vertices): what holds the fluid there
     area: float  # of the fluid
     dofs: int
-    velocity: tuple[Any, Any]
+    velocity: Any
 
 
-def _stokes(box: Box, pores: Any, order: int, walls: Walls) -> _Solution:
-    mesh = pores.mesh
+def _stokes(box: Box, mesh: Any, order: int, walls: Walls) -> list[_Flow]:
+    """The flows along x and y."""
     mesh.Curve(order)
-    runs = [(0, 1)] if box.periodic else [(0,), (1,)]
     with TaskManager():
-        parts = [_run(box, mesh, order, walls, axes) for axes in runs]
-        area = Integrate(CoefficientFunction(1.0), mesh, order=3 * order)
-    flows = [flow for part in parts for flow in part]
-    return _Solution(
-        mean=np.column_stack([f[0] for f in flows]),
-        reaction=(flows[0][1], flows[1][1]),
-        area=area,
-        dofs=flows[0][2],
-        velocity=(flows[0][3], flows[1][3]),
-    )
+        runs = [(0, 1)] if box.periodic else [(0,), (1,)]
+        return [flow for axes in runs for flow in _flows(box, mesh, order, walls, axes)]
 
 
-def _run(box: Box, mesh: Any, order: int, walls: Walls, axes: tuple[int, ...]) -> list[Any]:
-    """Flows along `axes`: mean velocity, reaction at mesh vertices, unknowns, velocity."""
+def _flows(box: Box, mesh: Any, order: int, walls: Walls, axes: tuple[int, ...]) -> list[_Flow]:
+    """The flows along `axes`, which share their boundary conditions and so one factorisation."""
     if box.periodic:
         V = Periodic(VectorH1(mesh, order=order, dirichlet="disc"))
         Q = Periodic(H1(mesh, order=order - 1))
     else:
-        ends, sides = ("left|right", "bottom|top")[:: 1 if axes[0] == 0 else -1]
-        still = {"x": "disc", "y": "disc"}
-        along, across = ("x", "y")[:: 1 if axes[0] == 0 else -1]
-        still[across] += "|" + ends + "|" + sides
+        forward = slice(None, None, 1 if axes[0] == 0 else -1)
+        ends, sides = ["left|right", "bottom|top"][forward]
+        along, across = ["dirichletx", "dirichlety"][forward]
+        still = {along: "disc", across: f"disc|{ends}|{sides}"}
         if walls == "no-slip":
-            still[along] += "|" + sides
-        V = VectorH1(mesh, order=order, dirichletx=still["x"], dirichlety=still["y"])
+            still[along] += f"|{sides}"
+        V = VectorH1(mesh, order=order, **still)
         Q = H1(mesh, order=order - 1, dirichlet=ends)
     X = V * Q
     (u, p), (v, q) = X.TnT()
     stokes = InnerProduct(Grad(u), Grad(v)) - div(u) * q - div(v) * p
     a = BilinearForm(stokes * dx, condense=True).Assemble()
-    inverse = _factorised(a.mat, X, V.ndof)
+    factor = SaddleFactor(a.mat, V.ndof, X.FreeDofs(True))
     loads = [LinearForm(v[k] * dx).Assemble().vec for k in range(2)]
+    first = [0, V.ndof // 2]  # unknowns of a component start with its values at the vertices
     flows = []
     for k in axes:
         f = loads[k].CreateVector()
         f.data = loads[k] + a.harmonic_extension_trans * loads[k]
         flow = GridFunction(X)
-        residual, change = f.CreateVector(), f.CreateVector()
-        for _ in range(SWEEPS):
-            residual.data = f - a.mat * flow.vec
-            change.data = inverse * residual
-            flow.vec.data += change
-            new, whole = (np.linalg.norm(z.FV().NumPy()[: V.ndof]) for z in (change, flow.vec))
-            if new <= ROUNDOFF * whole:
-                break
-        else:
-            raise RuntimeError("the linear solver did not converge")
-        residual.data = a.mat * flow.vec - f
+        residual = factor.solve(f, flow.vec).FV().NumPy()
         flow.vec.data += a.harmonic_extension * flow.vec
         flow.vec.data += a.inner_solve * f
-        values = residual.FV().NumPy()
-        n = V.ndof // 2
-        reaction = -np.stack([values[: mesh.nv], values[n : n + mesh.nv]])
-        velocity = flow.components[0]
-        mean = np.array([load.InnerProduct(flow.vec) for load in loads]) / box.area
-        flows.append((mean, reaction, X.ndof, velocity))
+        flows.append(
+            _Flow(
+                mean=np.array([load.InnerProduct(flow.vec) for load in loads]) / box.area,
+                reaction=np.stack([residual[c : c + mesh.nv] for c in first]),
+                area=float(loads[k].FV().NumPy()[first[k] : first[k] + mesh.nv].sum()),
+                dofs=X.ndof,
+                velocity=flow.components[0],
+            )
+        )
     return flows
-
-
-def _factorised(matrix: Any, space: Any, first: int) -> Any:
-    """Factorisation L D Lᵀ of a saddle-point matrix whose pressures start at unknown `first`.
-
-    A zero on the diagonal is no pivot, so the pressures get -PIVOT diag(B A⁻¹ Bᵀ), with diag(A) for
-    A. The matrix itself is left as it was: refinement with it removes what was added.
-    """
-    values, columns, start = matrix.CSR()
-    values, columns = values.NumPy(), np.asarray(columns)
-    row = np.repeat(np.arange(matrix.height), np.diff(np.asarray(start).astype(np.int64)))
-    diagonal = np.flatnonzero(columns == row)
-    stiffness = np.ones(matrix.height)
-    stiffness[row[diagonal]] = values[diagonal]
-    coupling = np.flatnonzero((row >= first) & (columns < first))
-    own = np.bincount(
-        row[coupling], values[coupling] ** 2 / stiffness[columns[coupling]], matrix.height
-    )
-    pressure = diagonal[row[diagonal] >= first]
-    kept = values[pressure].copy()
-    values[pressure] -= PIVOT * own[row[pressure]]
-    inverse = matrix.Inverse(space.FreeDofs(True), "sparsecholesky")
-    values[pressure] = kept
-    return inverse
