@@ -123,9 +123,10 @@ def test_quarter_turn_turns_the_tensor(random_cell, random_flow):
 
 def test_unit_of_length_does_not_matter(random_cell, random_flow):
     box, particles = random_cell
-    small = Particles(particles.x * 1e-3, particles.diameter * 1e-3)
-    flow = resolved.solve(Box(box.width * 1e-3, box.height * 1e-3, True), small)
-    np.testing.assert_allclose(flow.tensor, random_flow.tensor * 1e-6, rtol=1e-6)
+    unit = 2.0**-10  # exact in floating point, so the mesh is the same too
+    small = Particles(particles.x * unit, particles.diameter * unit)
+    flow = resolved.solve(Box(box.width * unit, box.height * unit, True), small)
+    np.testing.assert_allclose(flow.tensor, random_flow.tensor * unit**2, rtol=1e-9)
 
 
 def test_estimate_covers_the_error(random_cell):
@@ -149,7 +150,7 @@ def test_window_is_a_quarter_of_its_mirror_images():
         Box(2 * box.width, 2 * box.height, True), Particles(mirrored, 1.0), tol=1e-4
     )
     np.testing.assert_allclose(np.diag(window.tensor), np.diag(whole.tensor), rtol=5e-4)
-    assert abs(whole.tensor[0, 1]) < 1e-6 * whole.tensor[0, 0]
+    assert abs(whole.tensor[0, 1]) < 1e-4 * whole.tensor[0, 0]
 
 
 def test_no_slip_walls_hold_the_flow_back():

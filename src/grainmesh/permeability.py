@@ -199,9 +199,7 @@ def _law_notes(law: Law, triangulation: Triangulation) -> tuple[str, ...]:
 def _resolved_notes(flow: resolved.Resolved, tol: float) -> tuple[str, ...]:
     notes = []
     if flow.closed:
-        notes.append(
-            f"{flow.closed} gaps below {CLOSED:g} of the smaller radius were closed"
-        )
+        notes.append(f"{flow.closed} gaps below {CLOSED:g} of the smaller radius were closed")
     if flow.error > tol:
         notes.append(f"order {flow.order} reaches an estimated error of {flow.error:.1g} only")
     return tuple(notes)

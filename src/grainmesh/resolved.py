@@ -16,6 +16,7 @@ that forces and pressure gradient balance to round-off.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Literal
@@ -48,6 +49,8 @@ Walls = Literal["symmetry", "no-slip"]
 
 #: Orders of the velocity tried.
 LOWEST, HIGHEST = 2, 8
+#: Meshes of no more elements than this are not worth a second thread.
+FEW = 1000
 #: The steps from order to order are taken to shrink by no less and no more than this.
 RATIO = (0.2, 0.5)
 
@@ -189,7 +192,7 @@ class _Flow:
 def _stokes(box: Box, mesh: Any, order: int, walls: Walls) -> list[_Flow]:
     """The flows along x and y."""
     mesh.Curve(order)
-    with TaskManager():
+    with TaskManager() if mesh.ne > FEW else nullcontext():
         runs = [(0, 1)] if box.periodic else [(0,), (1,)]
         return [flow for axes in runs for flow in _flows(box, mesh, order, walls, axes)]
 
