@@ -11,7 +11,6 @@ the result; the pixel is declared here to make the mean fibre 7 micrometres thic
 from __future__ import annotations
 
 import argparse
-import warnings
 from pathlib import Path
 
 import matplotlib
@@ -21,14 +20,13 @@ from rich.table import Table
 
 import grainmesh as gm
 from grainmesh import plot, report
-from grainmesh.closures import ClosureWarning
 from grainmesh.particles import touches
 from grainmesh.permeability import METHODS
 
 DATA = Path(__file__).parent / "data" / "carbon_fibres.csv"
 PIXEL = 0.722e-6  # [m], declared: the mean fibre is 7 micrometres thick
 SCALES = (1.0, 0.95, 1.05)  # of the radii
-BAND_TOL = 1e-2  # for the band: small against its width
+BAND_TOL = 3e-2  # for the band: small against its width
 
 Results = dict[tuple[str, float], gm.Permeability]
 
@@ -103,7 +101,6 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/demo"), help="folder to write to")
     out = parser.parse_args().out
     matplotlib.use("Agg")
-    warnings.simplefilter("ignore", ClosureWarning)  # the range of the law: see the table
     results = run(out)
     fibres = results["resolved", 1.0]
     print(
