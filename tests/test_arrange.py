@@ -130,7 +130,7 @@ def test_lattice_arguments_are_checked():
     kind = {"porosity": 0.6, "diameter": 1.0}
     with pytest.raises(InputError, match="even ny"):
         arrange.hexagonal(3, 3, **kind)
-    assert len(arrange.hexagonal(3, 3, periodic=False, **kind)[1]) == 9
+    assert len(arrange.hexagonal(3, 3, periodic=False, **kind)[1]) == 3 + 4 + 3
     with pytest.raises(InputError, match="nx 0"):
         arrange.square(0, 3, **kind)
     with pytest.raises(InputError, match=r"ny 1\.5"):
@@ -453,3 +453,17 @@ def test_arguments_of_from_csv_are_checked(write):
     ):
         with pytest.raises(InputError, match=message):
             arrange.from_csv(path, **kind)
+
+
+@pytest.mark.parametrize("angle", [45, 60])
+def test_walls_halve_the_discs_of_every_other_row(angle):
+    from grainmesh.cells import cells
+
+    box, particles = arrange.staggered(
+        3, 4, angle=angle, porosity=0.5, diameter=1.0, periodic=False
+    )
+    assert len(particles) == 3 + 4 + 3 + 4
+    solid = cells(box, particles).solid
+    assert solid.sum() == pytest.approx(0.5 * box.area, rel=1e-13)
+    halved = (particles.x[:, 0] == 0.0) | (particles.x[:, 0] == box.width)
+    np.testing.assert_allclose(solid, np.where(halved, 0.5, 1.0) * pi / 4, rtol=1e-13)

@@ -105,9 +105,9 @@ def staggered(
     box : Box
         The exact tile, Eqs. (1) and (2).
     particles : Particles
-        nx ny discs, row by row from the bottom; rows start at a quarter and at three quarters of
-        the pitch. With walls at the left and right, discs are cut by them if the pitch is less
-        than two diameters; the solid inside the box is then less than that of the tile.
+        Row by row from the bottom. Periodic: nx ny discs, rows start at a quarter and at three
+        quarters of the pitch. With walls: rows of nx discs, from half a pitch on, and of nx + 1,
+        whose first and last are halved by the walls, so that these are planes of symmetry.
 
     Raises
     ------
@@ -125,9 +125,12 @@ def staggered(
     _solid(porosity, limit=pi / 4 * nearest**2 / (0.5 * t))
     a = d * sqrt(pi / 4 / (1 - porosity) / (0.5 * t))  # Eqs. (1), (2)
     h = 0.5 * a * t  # Eq. (2)
-    i, j = np.meshgrid(np.arange(nx), np.arange(ny))
-    x = np.stack([(i + 0.25 + 0.5 * (j % 2)) * a, (j + 0.5) * h], axis=-1).reshape(-1, 2)
-    return Box(nx * a, ny * h, periodic), Particles(x, d)
+    i, j = np.meshgrid(np.arange(nx + 1), np.arange(ny))
+    x = np.stack([(i + 0.5 - 0.5 * (j % 2)) * a, (j + 0.5) * h], axis=-1)
+    if periodic:
+        x = x[:, :nx] - [0.25 * a, 0.0] + [0.5 * a, 0.0] * (j[:, :nx, None] % 2)
+        return Box(nx * a, ny * h, True), Particles(x.reshape(-1, 2), d)
+    return Box(nx * a, ny * h), Particles(x[(i < nx) | (j % 2 == 1)], d)
 
 
 def random(

@@ -22,6 +22,13 @@ of (3) plus the pressure on the solid (1 - ε_i) φ_i that the mesh gives it,
 
 so the forces in a periodic box sum to G times its area.
 
+Between a disc and a no-slip wall the passage, of width h, is half of that between the disc and its
+mirror image, and conducts h³/12, where half of the whole passage conducts (2h)³/24 = h³/3. So
+
+    λ at a no-slip wall = λ/4:    the nodes of such a wall have the weight `WALL` = 4 in B.    (5)
+
+Half of the drag there is on the particle, half on the wall.
+
 The elements are P_k/P_{k-1} (Taylor-Hood), for k = 1 P_1 with a cubic bubble (MINI). Porosity and B
 are linear. The mean superficial velocity U = ∫ε u / area gives the permeability, K G = mu U.
 """
@@ -73,6 +80,8 @@ Kernel = Literal["hat", "delta"]
 Walls = Literal["symmetry", "no-slip"]
 Gap = Literal["global", "local"]
 
+#: Drag at a no-slip wall, in that of the bed, Eq. (5).
+WALL = 4.0
 #: Least porosity of a vertex: the cells of cut or overlapping discs may be solid altogether.
 LEAST_POROSITY = 0.05
 #: Least γ handed to a law: discs that touch everywhere have none.
@@ -291,11 +300,22 @@ class _Bed:
 
     box: Box
     mesh: Any
+    vertex: Int  # point of the triangulation that each vertex shows (v,)
     share: csr_array  # (n, v): φ_i = sum of the hats of the vertices, by these weights
     porosity: Float  # ε (v,)
-    drag: Float  # B (v,)
-    held: Float  # β_i A_i / ∫φ_i (n,)
+    drag: Float  # β_i A_i (n,)
     solid: Float  # 1 - ε_i (n,)
+
+    def kernel(self, sides: Sequence[str], weight: float) -> csr_array:
+        """ψ_i in values at the vertices (n, v), nodes of no-slip `sides` with a weight, Eq. (5)."""
+        points = np.array(self.mesh.ngmesh.Coordinates())
+        still = np.zeros(len(self.vertex), dtype=bool)
+        for side in sides:
+            axis, end = divmod(SIDES.index(side), 2)
+            still |= points[:, axis] == end * self.box.size[axis]
+        still &= self.vertex >= len(self.drag)  # particles on the wall keep their weight
+        psi = self.share.multiply((1.0 / (self.share @ _hats(self.mesh)))[:, None])
+        return csr_array(psi * np.where(still, weight, 1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,9 +337,9 @@ def _bed(box: Box, particles: Particles, law: Law, gap: Gap) -> _Bed:
     lam = _permeability(law, 1.0 - cell.solid.sum() / box.area, triangulation, gap)
     mesh, vertex = flow_mesh(triangulation)
     share = _share(triangulation)[:, vertex]
-    held = eps**2 / lam * cell.area / (share @ _hats(mesh))  # Eqs. (2), (3), d = 1
+    drag = eps**2 / lam * cell.area  # Eq. (2) times A_i, d = 1
     alone = 1.0 - np.asarray(share.sum(axis=0))  # a node that no particle is joined to: pure fluid
-    return _Bed(box, mesh, share, eps @ share + alone, held @ share, held, 1.0 - eps)
+    return _Bed(box, mesh, vertex, share, eps @ share + alone, drag, 1.0 - eps)
 
 
 def _permeability(law: Law, porosity: float, triangulation: Triangulation, gap: Gap) -> Float:
@@ -342,24 +362,27 @@ def _run(bed: _Bed, order: int, kernel: Kernel, walls: Walls) -> _Run:
     unit = (CoefficientFunction((1.0, 0.0)), CoefficientFunction((0.0, 1.0)))
     mesh = bed.mesh
     if bed.box.periodic:
-        flows = stokes(mesh, bed.porosity, bed.drag, unit, order=order, kernel=kernel)
+        psi = [bed.kernel((), 1.0)] * 2
+        flows = stokes(mesh, bed.porosity, bed.drag @ psi[0], unit, order=order, kernel=kernel)
     else:
-        flows = []
+        flows, psi = [], []
         for along in range(2):
             ends, sides = SIDES[2 * along :][:2], SIDES[2 - 2 * along :][:2]
-            kind = {"slip" if walls == "symmetry" else "no_slip": sides}
+            still = sides if walls == "no-slip" else ()
+            psi.append(bed.kernel(still, 0.5 * WALL))  # half the drag of the passage is the wall's
             flows += stokes(
                 mesh,
                 bed.porosity,
-                bed.drag,
+                bed.drag @ bed.kernel(still, WALL),  # Eqs. (3), (5)
                 [unit[along]],
                 order=order,
                 kernel=kernel,
                 pressure=ends,
-                **kind,
+                slip=() if still else sides,
+                no_slip=still,
             )
     eps, hats, degree = _linear(mesh, bed.porosity), _hats(mesh), max(order, 3)
-    mean, force = np.empty((2, 2)), np.empty((2, len(bed.held), 2))
+    mean, force = np.empty((2, 2)), np.empty((2, len(bed.drag), 2))
     with TaskManager():
         for along, flow in enumerate(flows):
             flux = Integrate(eps * flow.velocity, mesh, order=degree + 1)
@@ -367,12 +390,12 @@ def _run(bed: _Bed, order: int, kernel: Kernel, walls: Walls) -> _Run:
             slope = grad(flow.pressure)
             for axis in range(2):
                 if kernel == "hat":
-                    around = bed.share @ _moments(mesh, flow.velocity[axis], degree)
+                    around = psi[along] @ _moments(mesh, flow.velocity[axis], degree)
                 else:
                     at = flow.fields.components[0].components[axis].vec.FV().NumPy()[: mesh.nv]
-                    around = bed.share @ (hats * at)
+                    around = psi[along] @ (hats * at)
                 pull = bed.share @ ((along == axis) * hats - _moments(mesh, slope[axis], degree))
-                force[along, :, axis] = bed.held * around + bed.solid * pull  # Eq. (4)
+                force[along, :, axis] = bed.drag * around + bed.solid * pull  # Eq. (4)
     return _Run(mean, force, flows)
 
 

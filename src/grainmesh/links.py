@@ -207,7 +207,8 @@ def around_walled(box: Box, particles: Particles, filled: float) -> tuple[Links,
     )
     for normal, distance, foot, ends in walls:
         near = np.flatnonzero((distance - r < 0.5 * NARROW * r) & ~gone)
-        mirror = _Pairs(near, 2.0 * distance[near, None] * np.array(normal), r[near], r[near])
+        away = np.where(distance == 0.0, 1e-9 * r, distance)[near, None]  # has a direction
+        mirror = _Pairs(near, 2.0 * away * np.array(normal), r[near], r[near])
         middle = x[near] + distance[near, None] * np.array(normal)
         for turn in (1.0, -1.0):
             sizes.append(mirror.sizes(middle, filled, turn) * (1.0, 1.0, 0.5))
