@@ -126,11 +126,10 @@ def staggered(
     a = d * sqrt(pi / 4 / (1 - porosity) / (0.5 * t))  # Eqs. (1), (2)
     h = 0.5 * a * t  # Eq. (2)
     i, j = np.meshgrid(np.arange(nx + 1), np.arange(ny))
-    x = np.stack([(i + 0.5 - 0.5 * (j % 2)) * a, (j + 0.5) * h], axis=-1)
-    if periodic:
-        x = x[:, :nx] - [0.25 * a, 0.0] + [0.5 * a, 0.0] * (j[:, :nx, None] % 2)
-        return Box(nx * a, ny * h, True), Particles(x.reshape(-1, 2), d)
-    return Box(nx * a, ny * h), Particles(x[(i < nx) | (j % 2 == 1)], d)
+    along = i + 0.25 + 0.5 * (j % 2) if periodic else i + 0.5 - 0.5 * (j % 2)
+    x = np.stack([along * a, (j + 0.5) * h], axis=-1)
+    here = (i < nx) if periodic else (i < nx) | (j % 2 == 1)
+    return Box(nx * a, ny * h, periodic), Particles(x[here], d)
 
 
 def random(
