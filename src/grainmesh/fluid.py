@@ -71,6 +71,7 @@ from grainmesh.closures import Law
 from grainmesh.domain import SIDES, Box
 from grainmesh.errors import InputError
 from grainmesh.particles import Particles, settle
+from grainmesh.saddle import SaddleFactor, entries
 from grainmesh.triangulation import Triangulation, triangulate
 
 Float = NDArray[np.float64]
@@ -84,12 +85,8 @@ Gap = Literal["global", "local"]
 WALL = 4.0
 #: Least porosity of a vertex: the cells of cut or overlapping discs may be solid altogether.
 LEAST_POROSITY = 0.05
-#: Least γ handed to a law: discs that touch everywhere have none.
+#: Least γ of a single particle (gap="local"): discs that touch have none.
 LEAST_GAP = 1e-3
-#: The factorised matrix has this share of its Schur complement's diagonal as pressure block.
-SHIFT = 1e-8
-#: Corrections of the solution at most: three do, where the condition is good.
-MOST_CORRECTIONS = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,20 +166,19 @@ def stokes(
     with TaskManager():
         # One degree more than the elements have, for ε and B: all integrals are exact.
         a = BilinearForm(form * dx(bonus_intorder=1), condense=True).Assemble()
-        values, columns, rows = (np.asarray(part) for part in a.mat.CSR())
-        matrix = csr_array((values, columns, rows), copy=False)
-        diagonal = _diagonal(matrix)
         if kernel == "delta":
+            values, columns, row = entries(a.mat)
+            diagonal = np.flatnonzero(columns == row)
             dof = np.array([V.GetDofNrs(NodeId(VERTEX, i)) for i in range(mesh.nv)])
-            np.add.at(values, diagonal[dof], (drag * _hats(mesh))[:, None])
-        free = np.asarray(X.FreeDofs(True))
-        inverse = _inverse(a.mat, matrix, diagonal, V.ndof, X.FreeDofs(True))
+            shared = np.bincount(dof.ravel(), np.repeat(drag * _hats(mesh), 2), a.mat.height)
+            values[diagonal] += shared[row[diagonal]]
+        factor = SaddleFactor(a.mat, V.ndof, X.FreeDofs(True))
         flows = []
         for force in forces:
             f = LinearForm(eps * InnerProduct(force, v) * dx(bonus_intorder=1)).Assemble().vec
             f.data += a.harmonic_extension_trans * f
             fields = GridFunction(X)
-            _refine(a.mat, inverse, f, fields.vec, free)
+            factor.solve(f, fields.vec)
             fields.vec.data += a.harmonic_extension * fields.vec
             fields.vec.data += a.inner_solve * f
             flows.append(Flow(fields, sum(X.FreeDofs())))
@@ -197,7 +193,8 @@ class Mesoscale:
     ----------
     tensor : ndarray, shape (2, 2)
         Permeability [m2]; column k belongs to a pressure gradient along axis k. Times G/mu it is
-        the mean superficial velocity, also of a channel.
+        the mean superficial velocity, also of a channel. Diagonal in a box with walls, through
+        whose sides nothing flows.
     force : ndarray, shape (2, n, 2)
         Force on each disc, per unit depth and unit pressure gradient [m2], for each direction,
         Eq. (4); it includes the part of the mean pressure gradient, so that periodic forces sum
@@ -354,7 +351,7 @@ def _permeability(law: Law, porosity: float, triangulation: Triangulation, gap: 
         own = np.maximum(triangulation.gap_of_particle, LEAST_GAP)
         own *= gamma / np.nanmean(own)
         gamma = np.where(np.isnan(own), gamma, own)
-    return law(porosity, np.maximum(gamma, LEAST_GAP))
+    return law(porosity, gamma)
 
 
 def _run(bed: _Bed, order: int, kernel: Kernel, walls: Walls) -> _Run:
@@ -387,6 +384,8 @@ def _run(bed: _Bed, order: int, kernel: Kernel, walls: Walls) -> _Run:
         for along, flow in enumerate(flows):
             flux = Integrate(eps * flow.velocity, mesh, order=degree + 1)
             mean[:, along] = np.array(flux) / bed.box.area
+            if not bed.box.periodic:  # nothing flows through the sides
+                mean[1 - along, along] = 0.0
             slope = grad(flow.pressure)
             for axis in range(2):
                 if kernel == "hat":
@@ -568,48 +567,6 @@ def _moments(mesh: Any, field: Any, degree: int) -> Float:
 def _hats(mesh: Any) -> Float:
     """Integral of the hat function of each vertex, (v,)."""
     return _moments(mesh, CoefficientFunction(1.0), 0)
-
-
-def _diagonal(matrix: csr_array) -> Int:
-    """Where the diagonal entry of each row is stored, -1 for a row without, (r,)."""
-    row = np.repeat(np.arange(matrix.shape[0], dtype=matrix.indices.dtype), np.diff(matrix.indptr))
-    place = np.flatnonzero(row == matrix.indices)
-    found = np.full(matrix.shape[0], -1)
-    found[row[place]] = place
-    return found
-
-
-def _inverse(a: Any, matrix: csr_array, diagonal: Int, nv: int, free: Any) -> Any:
-    """LDLᵀ of a matrix next to `a`, whose pressure block is made negative.
-
-    With its zero block the matrix has no LDLᵀ without pivots; with a negative one it has, in any
-    order. A small share of the diagonal of C A⁻¹ Cᵀ does, and is undone by `_refine`.
-    """
-    values = matrix.data
-    own = np.where(diagonal[:nv] >= 0, values[diagonal[:nv]], 0.0)
-    weight = np.divide(1.0, own, out=np.zeros(nv), where=own > 0.0)
-    schur = matrix[nv:, :nv].power(2) @ weight
-    used = diagonal[nv:] >= 0
-    place, shift = diagonal[nv:][used], SHIFT * schur[used]
-    kept = values[place].copy()
-    values[place] -= shift
-    inverse = a.Inverse(free, "sparsecholesky")
-    values[place] = kept
-    return inverse
-
-
-def _refine(a: Any, inverse: Any, f: Any, x: Any, free: Bool) -> None:
-    """Solve a x = f by corrections from the inverse of a nearby matrix."""
-    residual = f.CreateVector()
-    residual.data = f
-    x[:] = 0.0
-    norm = np.inf
-    for k in range(MOST_CORRECTIONS):
-        x += inverse * residual
-        residual.data = f - a * x
-        last, norm = norm, float(np.linalg.norm(residual.FV().NumPy()[free]))
-        if k >= 2 and norm > 0.5 * last:
-            break
 
 
 __all__ = ["Flow", "Mesoscale", "flow_mesh", "solve", "stokes"]

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from netgen.geom2d import SplineGeometry
 from netgen.meshing import MeshingParameters
-from ngsolve import Mesh
+from ngsolve import TRIG, VOL, Det, IntegrationRule, Mesh, specialcf
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
@@ -28,6 +28,7 @@ from grainmesh.links import (
     Links,
     around_periodic,
     around_walled,
+    off_corners,
     ordered,
     perimeter,
 )
@@ -39,6 +40,10 @@ Int = NDArray[np.int64]
 #: The neck of a closed gap is filled up to this width, in smaller radii; where bridges meet so
 #: closely that the outline would cross itself, the next width is tried.
 FILLED = (1e-2, 4e-3, 2e-2, 5e-2)
+#: Longest arc of one curve [rad].
+LONGEST = np.pi / 3.0
+#: Order at which elements are tested for being turned inside out, and meshes tried without such.
+CURVED, REMESH = 5, 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +55,7 @@ class Pores:
     mesh : ngsolve.Mesh
         Boundaries are named ``disc``, ``cut`` (periodic) or as in `domain.SIDES`.
     closed : int
-        Number of gaps that were closed, between discs and between discs and walls.
+        Number of gaps between discs that were closed.
     disc_of_curve : ndarray, shape (c,)
         Disc of each boundary curve, which is what Netgen numbers segments by; -1: none.
     """
@@ -91,12 +96,13 @@ def pore_mesh(box: Box, particles: Particles, maxh: float, grading: float = 0.7)
     InputError
         If discs overlap in such a way that no outline is found.
     """
-    around = around_periodic if box.periodic else around_walled
+    n, around = len(particles), around_periodic if box.periodic else around_walled
+    particles = particles if box.periodic else off_corners(box, particles)
     for filled in FILLED:
         links, sizes = around(box, particles, filled)
-        closed = int(links.closed.sum()) // 2
-        outline = _outline(box, particles, ordered(links, len(particles)))
-        place = outline.crossing(box) if closed else None
+        bridged = links.closed.any()
+        outline = _outline(box, particles, ordered(links, n))
+        place = outline.crossing(box) if bridged and outline.curves else None
         if place is None:
             break
     else:
@@ -104,11 +110,36 @@ def pore_mesh(box: Box, particles: Particles, maxh: float, grading: float = 0.7)
             f"the discs around particle {place} overlap so much that the space between them "
             "cannot be meshed: reduce their diameters a little"
         )
-    parameters = MeshingParameters(maxh=maxh, grading=grading)
-    for x, y, h in sizes[sizes[:, 2] < maxh].tolist():
-        parameters.RestrictH(x=x, y=y, z=0.0, h=h)
-    mesh = Mesh(outline.geometry().GenerateMesh(mp=parameters))
-    return Pores(mesh, closed, np.array([curve.disc for curve in outline.curves]))
+    if not outline.curves:
+        raise InputError("the discs fill the box: there is no fluid in it")
+    geometry = outline.geometry()
+    for attempt in range(REMESH):
+        parameters = MeshingParameters(maxh=maxh, grading=grading)
+        for x, y, h in sizes[sizes[:, 2] < maxh].tolist():
+            parameters.RestrictH(x=x, y=y, z=0.0, h=h)
+        mesh = Mesh(geometry.GenerateMesh(mp=parameters))
+        folded = _folded(mesh)
+        if len(folded) == 0:
+            between = links.closed & (np.maximum(links.owner, links.owner[links.partner]) < n)
+            disc_of_curve = np.array([curve.disc for curve in outline.curves])
+            return Pores(mesh, int(between.sum()) // 2, disc_of_curve)
+        sizes = np.concatenate([sizes, folded * (1.0, 1.0, 0.5**attempt)])
+    raise InputError(
+        f"no sound mesh near ({folded[0, 0]:g}, {folded[0, 1]:g}) mean diameters: "
+        "move the discs there, or the edge of the box, a little"
+    )
+
+
+def _folded(mesh: Any) -> Float:
+    """Middle (x, y) of the elements that curving turns inside out, and half their size: (k, 3)."""
+    mesh.Curve(CURVED)
+    rule = IntegrationRule(TRIG, 2 * CURVED)
+    jacobian = Det(specialcf.JacobianMatrix(2))(mesh.MapToAllElements(rule, VOL))
+    bad = np.flatnonzero(np.asarray(jacobian).reshape(mesh.ne, -1).min(axis=1) <= 0.0)
+    nodes = mesh.ngmesh.Elements2D().NumPy()["nodes"][bad, :3].astype(np.int64) - 1
+    corner = np.array(mesh.ngmesh.Coordinates())[nodes][..., :2]
+    size = np.hypot(*np.moveaxis(corner - np.roll(corner, 1, axis=1), -1, 0)).max(axis=1)
+    return np.column_stack([corner.mean(axis=1), 0.5 * size])
 
 
 @dataclass(frozen=True)
@@ -234,8 +265,8 @@ def _outline(box: Box, particles: Particles, links: Links) -> _Outline:
         elif np.hypot(*(start[a] - end[b])) < touching:
             stops[b] = a
         else:
-            disc = owner[b] if owner[b] < n else owner[a]
-            curves.append(_Curve((stops[b], begins[a]), "disc", disc))
+            disc = min(owner[b], owner[a])
+            curves.append(_Curve((stops[b], begins[a]), "disc", disc if disc < n else -1))
     way = perimeter(box)
     for k in np.flatnonzero(alive):
         i, last = int(owner[k]), stops[following[k]]
@@ -244,7 +275,7 @@ def _outline(box: Box, particles: Particles, links: Links) -> _Outline:
             side = ("left", "top", "right", "bottom")[np.searchsorted(way[1:4], s)]
             curves.append(_Curve((begins[k], last), side))
             continue
-        pieces = int(np.ceil(length[k] / (0.5 * np.pi) - 1e-9))
+        pieces = int(np.ceil(length[k] / LONGEST - 1e-9))
         step = length[k] / pieces
         at = links.high[k] + np.arange(1, 2 * pieces) * (0.5 * step)
         reach = np.where(np.arange(1, 2 * pieces) % 2, 1.0 / np.cos(0.5 * step), 1.0)

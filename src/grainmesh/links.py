@@ -40,6 +40,10 @@ NARROW = 0.7
 SHORTEST = 5e-3
 #: A cut of the cell keeps this clearance from discs, in radii from their centres.
 CLEARANCE = 1.15
+#: Size of elements where a disc ends on a wall, in radii.
+CORNER = 0.1
+#: Circles that pass a corner of the box within this share of their radius are moved off it.
+GRAZING = 5e-3
 #: A disc cut by a wall meets it at an angle, with nothing to fill, up to this distance in radii.
 STEEP = 0.9
 
@@ -182,7 +186,8 @@ def around_periodic(box: Box, particles: Particles, filled: float) -> tuple[Link
 def around_walled(box: Box, particles: Particles, filled: float) -> tuple[Links, Float]:
     """Half-links of a box with walls, and its element sizes (k, 3)."""
     x, r, n = particles.x, particles.radius, len(particles)
-    gone = (np.minimum(x, box.size - x).min(axis=1) + r) < filled * r  # hardly anything is inside
+    outside = np.hypot(*(x - np.clip(x, 0.0, box.size)).T)
+    gone = r - outside < filled * r  # hardly anything is inside
     close = close_pairs(box, particles, NARROW * float(r.max()))
     i, j = np.concatenate([close, close[:, ::-1]]).T
     partner = np.roll(np.arange(len(i)), len(close))
@@ -217,6 +222,11 @@ def around_walled(box: Box, particles: Particles, filled: float) -> tuple[Links,
         half = np.arccos(np.clip((distance[near] - 0.5 * push) / r[near], -1.0, 1.0))  # Eq. (1)
         angle = np.arctan2(normal[1], normal[0])
         reach = r[near] * np.sin(half)
+        tangent = np.array([-normal[1], normal[0]])
+        for turn in (1.0, -1.0):  # where a disc ends on a wall, the flow is not smooth
+            end = x[near] + distance[near, None] * np.array(normal)
+            end = end + turn * reach[:, None] * tangent
+            sizes.append(np.column_stack([end, CORNER * r[near]]))
         low = np.clip(foot[near] - reach, *ends) * (TURN / way[-1])
         high = np.clip(foot[near] + reach, *ends) * (TURN / way[-1])
         m = len(near)
@@ -234,6 +244,17 @@ def around_walled(box: Box, particles: Particles, filled: float) -> tuple[Links,
     at = np.concatenate([way[:4] * (TURN / way[-1]), np.zeros(len(lonely))])
     points = _open(owner, at, at, np.full(len(owner), -1), np.zeros(len(owner), dtype=bool))
     return links.join(points), np.concatenate(sizes)
+
+
+def off_corners(box: Box, particles: Particles) -> Particles:
+    """Discs of a box with walls, radii changed by `GRAZING` at most: none grazes a corner."""
+    corners = np.array([[0, 0], [0, 1], [1, 1], [1, 0]]) * box.size
+    far = np.hypot(*np.moveaxis(particles.x[:, None] - corners, -1, 0))
+    r = particles.radius
+    for distance in far.T:
+        graze = np.abs(distance - r) < GRAZING * r
+        r = np.where(graze, distance + np.where(distance < r, GRAZING, -GRAZING) * r, r)
+    return particles.with_diameter(2.0 * r)
 
 
 def perimeter(box: Box) -> Float:

@@ -33,8 +33,9 @@ from grainmesh.triangulation import Triangulation, triangulate
 Method = Literal["resolved", "mesoscale", "microstructure"]
 METHODS: tuple[str, ...] = get_args(Method)
 
-#: Relative scatter of the gaps below which an arrangement counts as regular.
-REGULAR = 1e-3
+#: An arrangement counts as regular if its gaps scatter by less than this share of their mean, as
+#: random if by more than the second, and as neither if there are fewer triangles than the third.
+REGULAR, RANDOM, FEW = 1e-3, 0.2, 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,6 +132,8 @@ def permeability(
         raise InputError(f"walls '{walls}' unknown: use {' or '.join(get_args(resolved.Walls))}")
     if not 0.0 < tol < 1.0:
         raise InputError(f"tolerance {tol:g} must lie between 0 and 1")
+    if order is not None and order != int(order):
+        raise InputError(f"order {order:g} must be a whole number")
     start = perf_counter()
     particles = settle(box, particles)
     progress("triangulating")
@@ -150,16 +153,22 @@ def permeability(
         notes = _resolved_notes(flow, tol if order is None else 1.0)
     else:
         law = Microstructural() if law is None else law
-        notes = _law_notes(law, triangulation)
-        if method == "mesoscale":
-            coarse = fluid.solve(box, particles, law, order=order or 2, walls=walls)
-            detail, tensor, dofs = coarse, coarse.tensor, coarse.dofs
-            error = hypot(coarse.error, law.error)
-        else:
-            d = particles.mean_diameter
-            value = float(law(porosity, gap))
-            tensor, dofs = value * d**2 * np.eye(2), 0
-            error = hypot(_sampling_error(law, porosity, triangulation), law.error)
+        misfit = _misfit(law, triangulation)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", ClosureWarning)
+            if method == "mesoscale":
+                coarse = fluid.solve(
+                    box, particles, law, order=2 if order is None else order, walls=walls
+                )
+                detail, tensor, dofs, error = coarse, coarse.tensor, coarse.dofs, coarse.error
+            else:
+                value = float(law(porosity, gap))
+                tensor, dofs, error = value * particles.mean_diameter**2 * np.eye(2), 0, 0.0
+        notes = tuple(dict.fromkeys((*misfit, *(str(w.message) for w in caught))))
+        for note in notes:
+            warnings.warn(note, ClosureWarning, stacklevel=2)
+        error = hypot(error, _sampling_error(law, porosity, triangulation), law.error)
+        error = max(error, 1.0) if misfit else error  # the law says nothing of this medium
     return Permeability(
         method=method,
         tensor=tensor,
@@ -185,19 +194,28 @@ def _sampling_error(law: Law, porosity: float, triangulation: Triangulation) -> 
     return float(abs(high - low) / np.log(1.01 / 0.99) * relative)
 
 
-def _law_notes(law: Law, triangulation: Triangulation) -> tuple[str, ...]:
-    if isinstance(law, Microstructural) and triangulation.gap_scatter < REGULAR:
-        note = (
-            "the discs form a regular lattice, but Eq. (4) was found for random ones: "
-            "choose the law square-lattice or hexagonal-lattice"
+def _misfit(law: Law, triangulation: Triangulation) -> tuple[str, ...]:
+    """Says so if a law for random discs meets a lattice, or a law of a lattice random discs."""
+    scatter = triangulation.gap_scatter
+    if len(triangulation.triangles) < FEW:
+        return ()
+    if "random" in law.medium and scatter < REGULAR:
+        return (
+            f"the discs form a regular lattice, but the law {law.name} is for random ones: "
+            "choose square-lattice or hexagonal-lattice",
         )
-        warnings.warn(note, ClosureWarning, stacklevel=3)
-        return (note,)
+    if "lattice" in law.medium and scatter > RANDOM:
+        return (
+            f"the discs are at random, but the law {law.name} is for a regular lattice: "
+            "choose microstructural",
+        )
     return ()
 
 
 def _resolved_notes(flow: resolved.Resolved, tol: float) -> tuple[str, ...]:
     notes = []
+    if not flow.tensor.any():
+        notes.append("no flow: the pores are blocked from side to side")
     if flow.closed:
         notes.append(f"{flow.closed} gaps below {CLOSED:g} of the smaller radius were closed")
     if flow.error > tol:

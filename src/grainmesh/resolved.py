@@ -52,7 +52,11 @@ LOWEST, HIGHEST = 2, 8
 #: Meshes of no more elements than this are not worth a second thread.
 FEW = 1000
 #: The steps from order to order are taken to shrink by no less and no more than this.
-RATIO = (0.2, 0.5)
+RATIO = (0.2, 0.9)
+#: Their ratio where only one step is known.
+FIRST = 0.5
+#: No flow: K below this, in mean diameters squared.
+BLOCKED = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +66,8 @@ class Resolved:
     Attributes
     ----------
     tensor : ndarray, shape (2, 2)
-        Permeability [m2]; column k belongs to a pressure gradient along axis k.
+        Permeability [m2]; column k belongs to a pressure gradient along axis k. Diagonal in a box
+        with walls, through whose sides nothing flows.
     force : ndarray, shape (2, n, 2)
         Force on each disc, per unit depth and unit pressure gradient [m2], for each direction; it
         includes the part of the mean pressure gradient, so that periodic forces sum to the area.
@@ -116,7 +121,7 @@ def solve(
     order : int, optional
         Solve at this order (and the one below, for the estimate) whatever the error.
     maxh : float, optional
-        Largest element [m]; by default one mean diameter.
+        Largest element [m]; by default one mean diameter, or more in dilute arrays.
     progress : callable, optional
         Is told each stage in a few words.
 
@@ -134,14 +139,18 @@ def solve(
     unit_box = Box(box.width / scale, box.height / scale, box.periodic)
     unit = Particles(particles.x / scale, particles.diameter / scale)
     progress("meshing the pores")
-    pores = pore_mesh(unit_box, unit, (maxh or scale) / scale)
+    coarse = max(1.0, 0.3 * (unit_box.area / len(unit)) ** 0.5)
+    pores = pore_mesh(unit_box, unit, coarse if maxh is None else maxh / scale)
     solid = cells(unit_box, unit).solid
     orders = range(LOWEST, HIGHEST + 1) if order is None else (order - 1, order)
     tensors: list[Float] = []
     for k in orders:
         progress(f"Stokes flow, order {k}")
         flows = _stokes(unit_box, pores.mesh, k, walls)
-        tensors.append(np.column_stack([flow.mean for flow in flows]))
+        mean = np.column_stack([flow.mean for flow in flows])
+        if not box.periodic:  # nothing flows through the sides, along which fluid only moves about
+            mean = np.diag(np.diag(mean))
+        tensors.append(np.where(np.abs(mean) < BLOCKED, 0.0, mean))
         error = _estimate(tensors)
         if order is None and error < tol:
             break
@@ -173,8 +182,10 @@ def _estimate(tensors: list[Float]) -> float:
     if len(tensors) < 2:
         return np.inf
     size = np.linalg.norm(tensors[-1])
+    if size < BLOCKED:
+        return 0.0
     steps = [float(np.linalg.norm(b - a) / size) for a, b in pairwise(tensors)]
-    ratio = np.clip(steps[-1] / steps[-2], *RATIO) if len(steps) > 1 else RATIO[1]
+    ratio = np.clip(steps[-1] / steps[-2], *RATIO) if len(steps) > 1 else FIRST
     return float(steps[-1] * ratio / (1.0 - ratio))
 
 

@@ -17,6 +17,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 #: Share of the pressures' own stiffness added to their diagonal.
 PIVOT = 1e-10
@@ -24,6 +25,13 @@ PIVOT = 1e-10
 SWEEPS, STALLED = 60, 0.9
 #: Residual, relative to the right-hand side, that must be reached.
 REACHED = 1e-9
+
+
+def entries(matrix: Any) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+    """Stored values of an NGSolve matrix (writable), and the column and row of each."""
+    values, columns, start = (np.asarray(part) for part in matrix.CSR())
+    count = np.diff(start.astype(np.int64)).astype(np.int64)
+    return values, columns, np.repeat(np.arange(matrix.height), count)
 
 
 class SaddleFactor:
@@ -40,8 +48,7 @@ class SaddleFactor:
     """
 
     def __init__(self, matrix: Any, first: int, free: Any) -> None:
-        values, columns, start = (np.asarray(part) for part in matrix.CSR())
-        row = np.repeat(np.arange(matrix.height), np.diff(start.astype(np.int64)).astype(np.int64))
+        values, columns, row = entries(matrix)
         diagonal = np.flatnonzero(columns == row)
         stiffness = np.ones(matrix.height)
         stiffness[row[diagonal]] = values[diagonal]
