@@ -134,7 +134,7 @@ def test_estimate_covers_the_error(random_cell):
     for order in (3, 4, 5):
         flow = resolved.solve(*random_cell, order=order)
         error = np.linalg.norm(flow.tensor - reference) / np.linalg.norm(reference)
-        assert 0.3 * error < flow.error < 100.0 * error
+        assert error < flow.error < 100.0 * error
 
 
 def test_window_is_a_quarter_of_its_mirror_images():
@@ -151,6 +151,24 @@ def test_window_is_a_quarter_of_its_mirror_images():
     )
     np.testing.assert_allclose(np.diag(window.tensor), np.diag(whole.tensor), rtol=5e-4)
     assert abs(whole.tensor[0, 1]) < 1e-4 * whole.tensor[0, 0]
+    assert window.tensor[0, 1] == window.tensor[1, 0] == 0.0
+
+
+def test_cut_corners_do_not_fool_the_estimate():
+    box = Box(2.0, 2.0)
+    caps = Particles([[1.0, -0.3], [-0.3, 1.0], [2.3, 1.0], [1.0, 2.3]], 1.0)
+    flow = resolved.solve(box, caps, tol=1e-3)
+    fine = resolved.solve(box, caps, order=6, maxh=0.15)
+    error = np.abs(flow.tensor - fine.tensor).max() / fine.tensor[0, 0]
+    assert error < 1e-3
+
+
+def test_dilute_limit():
+    # Square lattice: 32 phi K/d2 = ln(1/phi) - 1.476336 + 2 phi + O(phi2).
+    box, particles = Box(100.0, 100.0, True), Particles([[1.0, 2.0]], 1.0)
+    phi = np.pi / 4.0 / box.area
+    exact = (-np.log(phi) - 1.476336 + 2.0 * phi) / (32.0 * phi)
+    assert resolved.solve(box, particles).tensor[0, 0] == pytest.approx(exact, rel=1e-3)
 
 
 def test_no_slip_walls_hold_the_flow_back():
@@ -180,7 +198,7 @@ def test_touching_discs_let_nothing_through():
     particles = Particles([[1.0, 0.5], [1.0, 1.5]], 1.0)
     flow = resolved.solve(box, particles, tol=1e-3)
     assert flow.closed == 2
-    assert abs(flow.tensor[0, 0]) < 1e-12
+    assert abs(flow.tensor[0, 0]) < 1e-9
     assert flow.tensor[1, 1] > 0.1
 
 
