@@ -1,11 +1,11 @@
-"""Time to make random arrangements on one core: python benchmarks/packing.py [largest n]."""
+"""Time to make random arrangements on one core: python benchmarks/packing.py [--quick]."""
 
 import sys
 import time
 
 from grainmesh import arrange
 
-LARGEST = int(sys.argv[1]) if len(sys.argv) > 1 else 100_000
+LARGEST = 1000 if "--quick" in sys.argv else 100_000
 
 if __name__ == "__main__":
     arrange.random(10, porosity=0.6, diameter=1.0)  # compiles

@@ -55,4 +55,4 @@ def main(sizes: list[int]) -> None:
 
 
 if __name__ == "__main__":
-    main([int(n) for n in sys.argv[1:]] or [1_000, 10_000, 100_000])
+    main([1_000] if "--quick" in sys.argv else [1_000, 10_000, 100_000])

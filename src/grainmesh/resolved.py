@@ -54,7 +54,7 @@ FEW = 1000
 #: The steps from order to order are taken to shrink by no less and no more than this.
 RATIO = (0.2, 0.9)
 #: Their ratio where only one step is known.
-FIRST = 0.5
+FIRST = 0.35
 #: No flow: K below this, in mean diameters squared.
 BLOCKED = 1e-13
 
