@@ -57,7 +57,6 @@ from ngsolve import (
     NodeId,
     Periodic,
     Sym,
-    TaskManager,
     VectorH1,
     div,
     dx,
@@ -71,7 +70,7 @@ from grainmesh.closures import Law
 from grainmesh.domain import SIDES, Box
 from grainmesh.errors import InputError
 from grainmesh.particles import Particles, settle
-from grainmesh.saddle import SaddleFactor, entries
+from grainmesh.saddle import SaddleFactor, entries, threads
 from grainmesh.triangulation import Triangulation, triangulate
 
 Float = NDArray[np.float64]
@@ -163,7 +162,7 @@ def stokes(
         + B * InnerProduct(u, v)
         + eps * (InnerProduct(grad(p), v) + InnerProduct(u, grad(q)))
     )
-    with TaskManager():
+    with threads(mesh):
         # One degree more than the elements have, for ε and B: all integrals are exact.
         a = BilinearForm(form * dx(bonus_intorder=1), condense=True).Assemble()
         if kernel == "delta":
@@ -380,7 +379,7 @@ def _run(bed: _Bed, order: int, kernel: Kernel, walls: Walls) -> _Run:
             )
     eps, hats, degree = _linear(mesh, bed.porosity), _hats(mesh), max(order, 3)
     mean, force = np.empty((2, 2)), np.empty((2, len(bed.drag), 2))
-    with TaskManager():
+    with threads(mesh):
         for along, flow in enumerate(flows):
             flux = Integrate(eps * flow.velocity, mesh, order=degree + 1)
             mean[:, along] = np.array(flux) / bed.box.area

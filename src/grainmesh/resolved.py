@@ -16,7 +16,6 @@ that forces and pressure gradient balance to round-off.
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import nullcontext
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Literal
@@ -30,7 +29,6 @@ from ngsolve import (
     InnerProduct,
     LinearForm,
     Periodic,
-    TaskManager,
     VectorH1,
     div,
     dx,
@@ -42,15 +40,13 @@ from grainmesh.domain import Box
 from grainmesh.errors import InputError
 from grainmesh.holes import pore_mesh
 from grainmesh.particles import Particles, settle
-from grainmesh.saddle import SaddleFactor
+from grainmesh.saddle import SaddleFactor, threads
 
 Float = NDArray[np.float64]
 Walls = Literal["symmetry", "no-slip"]
 
 #: Orders of the velocity tried.
 LOWEST, HIGHEST = 2, 8
-#: Meshes of no more elements than this are not worth a second thread.
-FEW = 1000
 #: The steps from order to order are taken to shrink by no less and no more than this.
 RATIO = (0.2, 0.9)
 #: Their ratio where only one step is known.
@@ -203,7 +199,7 @@ class _Flow:
 def _stokes(box: Box, mesh: Any, order: int, walls: Walls) -> list[_Flow]:
     """The flows along x and y."""
     mesh.Curve(order)
-    with TaskManager() if mesh.ne > FEW else nullcontext():
+    with threads(mesh):
         runs = [(0, 1)] if box.periodic else [(0,), (1,)]
         return [flow for axes in runs for flow in _flows(box, mesh, order, walls, axes)]
 

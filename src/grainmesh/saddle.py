@@ -14,17 +14,26 @@ of refinement with the matrix itself then remove what was added. A pressure that
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import numpy as np
+from ngsolve import TaskManager
 from numpy.typing import NDArray
 
 #: Share of the pressures' own stiffness added to their diagonal.
 PIVOT = 1e-10
+#: Meshes of no more elements than this are not worth a second thread.
+FEW = 10_000
 #: Sweeps at most; they end when one no longer reduces the residual by `STALLED`.
 SWEEPS, STALLED = 60, 0.9
 #: Residual, relative to the right-hand side, that must be reached.
 REACHED = 1e-9
+
+
+def threads(mesh: Any) -> AbstractContextManager[Any]:
+    """NGSolve's threads for large meshes; small ones are faster without, on busy machines by far."""
+    return TaskManager() if mesh.ne > FEW else nullcontext()
 
 
 def entries(matrix: Any) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
