@@ -32,7 +32,7 @@ REACHED = 1e-9
 
 
 def threads(mesh: Any) -> AbstractContextManager[Any]:
-    """NGSolve's threads for large meshes; small ones are faster without, on busy machines by far."""
+    """NGSolve's threads for large meshes; small ones are faster without, much so when busy."""
     return TaskManager() if mesh.ne > FEW else nullcontext()
 
 
