@@ -36,6 +36,8 @@ from grainmesh.resolved import Walls
 #: The error of the command-line parser, wherever this version of typer takes it from.
 ParserError: type[Exception] = typer.BadParameter.__mro__[2]
 
+#: Discs thicker than this [m] are rare enough to ask for the unit of the file.
+LARGE = 2.0
 FILES = ("permeability.json", "permeability.csv", "permeability.png")
 FIGURES = ("fig1", "fig2")
 
@@ -202,6 +204,11 @@ def permeability(
         )
     found: dict[str, Permeability] = {}
     told: list[str] = []
+    if unit == 1.0 and particles.mean_diameter > LARGE:
+        told.append(
+            f"{file}: the mean diameter is {particles.mean_diameter:g} m; if the columns are not "
+            "metres, say --unit (1e-6 for micrometres)"
+        )
     with _progress() as tell:
         # The cheapest first: what can fail fails before the long work.
         for name in sorted(methods, key=METHODS.index, reverse=True):

@@ -214,8 +214,9 @@ def _misfit(law: Law, triangulation: Triangulation) -> tuple[str, ...]:
 
 def _resolved_notes(flow: resolved.Resolved, tol: float) -> tuple[str, ...]:
     notes = []
-    if not flow.tensor.any():
-        notes.append("no flow: the pores are blocked from side to side")
+    blocked = [axis for axis, k in zip("xy", np.diag(flow.tensor), strict=True) if k == 0.0]
+    if blocked:
+        notes.append(f"no flow along {' and '.join(blocked)}: the pores are blocked")
     if flow.closed:
         notes.append(f"{flow.closed} gaps below {CLOSED:g} of the smaller radius were closed")
     if flow.error > tol:
