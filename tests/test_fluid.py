@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
-from ngsolve import CoefficientFunction, Integrate, cosh, y
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from ngsolve import CoefficientFunction, Integrate, cos, cosh, sin, x, y
 
 from grainmesh import arrange, fluid, resolved
 from grainmesh.closures import HexagonalLattice, Microstructural, SquareLattice
@@ -107,6 +109,48 @@ def test_unknowns_of_a_torus(order):
         return 80 * (1 + 3 * (k - 1) + (k - 1) * (k - 2))
 
     assert flow.dofs == 2 * nodes(order) + nodes(order - 1)
+
+
+@given(
+    n=st.integers(1, 60),
+    seed=st.integers(0, 10**6),
+    aspect=st.sampled_from([0.3, 1.0, 4.0]),
+    spread=st.sampled_from([0.0, 0.6]),
+)
+@settings(max_examples=40, deadline=None)
+def test_any_torus_closes(n, seed, aspect, spread):
+    # Wherever the cut runs: no unknown twice and none lost, each triangle once.
+    d = np.random.default_rng(seed).uniform(1.0 - spread, 1.0 + spread, n)
+    box, particles = arrange.random(
+        n, porosity=0.8, diameter=d, seed=seed, aspect=aspect if n > 8 else 1.0
+    )
+    flow = fluid.solve(box, particles, SquareLattice(), order=3)
+    cells, rest = divmod(flow.dofs, 2 * 9 + 4)  # 9 n cubic and 4 n quadratic nodes on a torus
+    assert rest == 0
+    assert cells % n == 0
+    area = Integrate(CoefficientFunction(1.0), flow.mesh) * flow.scale**2
+    assert area == pytest.approx(box.area * cells / n, rel=1e-12)
+
+
+@pytest.mark.parametrize("order", [2, 3, 4])
+def test_smooth_flow_on_a_torus_is_met_across_the_cut(order):
+    # u = rot sin(2 pi x) sin(2 pi y), p = 0: f = (B + 8 pi2) u; slope order + 1 as in the bulk.
+    s, c, k = (sin(2.0 * np.pi * z) for z in (x, y)), (cos(2.0 * np.pi * z) for z in (x, y)), 30.0
+    (sx, sy), (cx, cy) = s, c
+    exact = CoefficientFunction((sx * cy, -cx * sy))
+    sizes, errors = [], []
+    for n in (60, 960):
+        box, discs = arrange.random(n, porosity=0.7, diameter=1.0, min_gap=0.3, seed=n)
+        unit = Particles(discs.x / box.width, 1.0 / box.width)
+        mesh, _ = fluid.flow_mesh(triangulate(Box(1.0, 1.0, True), unit))
+        one = np.ones(mesh.nv)
+        force = (k + 8.0 * np.pi**2) * exact
+        (flow,) = fluid.stokes(mesh, one, k * one, [force], order=order)
+        difference = flow.velocity - exact
+        errors.append(np.sqrt(Integrate(difference * difference, mesh, order=14)))
+        sizes.append(mesh.ne**-0.5)
+    measured = np.log(errors[0] / errors[1]) / np.log(sizes[0] / sizes[1])
+    assert abs(measured - (order + 1)) < 0.5
 
 
 def test_tensor_is_symmetric_and_forces_balance(random_cell, random_flow):

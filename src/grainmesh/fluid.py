@@ -474,17 +474,22 @@ def _identifications(triangles: Int, point: Int, shift: Int) -> list[tuple[Int, 
         image = np.sort(master[sides], axis=1)
         lost = sides[~np.isin(image[:, 0] * v + image[:, 1], known)]
         forbidden = np.vstack([corners, lost[:, [0, 1, 1]]])
-        found = []
-        while len(wanted):
-            slave = np.zeros(v, dtype=bool)
-            slave[wanted] = True
-            slave[forbidden[slave[forbidden].all(axis=1), 2]] = False
-            together = np.asarray(slave[wanted].all(axis=1))
-            if not together.any():
-                together[0] = True
-            slaves = np.unique(wanted[together])
+        near: dict[int, list[set[int]]] = {}  # loops over the vertices on the cut only: few
+        for row in map(set, forbidden.tolist()):
+            for end in row:
+                near.setdefault(end, []).append(row)
+        found, left = [], [set(pair) for pair in wanted.tolist()]
+        while left:
+            slave: set[int] = set()
+            later = []
+            for pair in left:
+                if any(row - pair <= slave for end in pair for row in near.get(end, ())):
+                    later.append(pair)
+                else:
+                    slave |= pair
+            slaves = np.array(sorted(slave))
             found.append((master[slaves], slaves))
-            wanted = wanted[~together]
+            left = later
         return found
 
     # The two copies of an edge that was cut follow each other here, the lower image first.
