@@ -1,0 +1,208 @@
+r"""A triangulation kept alive while its vertices move.
+
+Vertices move and triangles go with them, until an edge fails the test of a power triangulation: the
+corner opposite it lies inside the power circle of the triangle on its other side
+(`grainmesh.predicates`, Eq. 4). The edge is then replaced by the other diagonal of its two
+triangles (C. L. Lawson, Mathematical Software III (1977) 161),
+
+          c                    c
+        / | \                /   \
+       a  |  d     --->     a --- d                                                           (1)
+        \ | /                \   /
+          b                    b
+
+and their four outer edges are looked at again. Triangles turned over by a move are treated alike:
+an edge is flipped if one of its triangles is not positive and both new ones are. So each flip
+leaves fewer triangles that are not positive, or as many and a lower surface of the points lifted to
+(x, y, x² + y² - w): with exact signs, flips never go round in circles.
+
+If in the end all triangles are positive and all inner edges pass, this is the power triangulation,
+unique but for ties: the triangles, glued together to a disc or a torus as ever, lie in the plane
+without folds. Where no flip helps, because a vertex has crossed the boundary, has moved too far, or
+would have to vanish behind larger ones, the triangulation must be made anew
+(`grainmesh.triangulation`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from grainmesh.predicates import in_circle, orientation
+
+#: At more flips than this for each triangle, a new triangulation is the faster way.
+MOST_FLIPS = 4
+
+
+@njit(cache=True)
+def repair(points, weight, period, triangles, neighbours, shifts):  # type: ignore[no-untyped-def]
+    """Flip edges in place until the triangulation is the power triangulation of its points.
+
+    Parameters
+    ----------
+    points : (m, 2) float64
+        Vertices [m]. In a periodic box they move on beyond its edge and are never wrapped.
+    weight : (m,) float64
+        Power weights [m2], r_i² for discs.
+    period : (2,) float64
+        Size of a periodic box [m]; zeros for a box with walls.
+    triangles : (t, 3) int32
+        Corners, counter-clockwise before the points moved; changed.
+    neighbours : (t, 3) int32
+        Triangle across the edge opposite each corner, -1 at the boundary; changed.
+    shifts : (t, 3, 2) int32
+        Periodic images: corners lie at ``points[triangles] + shifts * period``; changed.
+
+    Returns
+    -------
+    flips : int
+        Number of edges flipped.
+    inverted : int
+        Number of triangles whose area was not positive at the start.
+    ok : bool
+        Whether now all triangles are positive and all inner edges are locally power-Delaunay,
+        exactly. If not, the arrays still fit together but the triangulation must be made anew.
+
+    Notes
+    -----
+    Edges of the boundary are never flipped. They must not cross each other, and must enclose a
+    convex region if the result is to be the power triangulation of all points. Equal input gives
+    equal output, to the bit.
+    """
+    positive = np.empty(len(triangles), np.bool_)
+    arrays = points, weight, period, triangles, neighbours, shifts
+    stack, depth = _failing(*arrays, positive)
+    inverted = len(positive) - positive.sum()
+    flips, stuck = 0, False
+    while depth > 0:
+        depth -= 1
+        t, k = stack[depth, 0], stack[depth, 1]
+        u = neighbours[t, k]
+        if u < 0:
+            continue
+        j = _back(triangles, neighbours, shifts, t, k, u)
+        a, b, c, d = _corners(triangles, shifts, t, k, u, j)
+        proper = positive[t] and positive[u]
+        if proper and in_circle(points, weight, period, a, b, c, d) <= 0:
+            continue
+        if (
+            orientation(points, period, a, b, d) <= 0
+            or orientation(points, period, d, c, a) <= 0
+            or flips == MOST_FLIPS * len(triangles)
+        ):
+            stuck = True  # unless another flip helps
+            continue
+        _flip(triangles, neighbours, shifts, t, k, u, j, a, d)
+        positive[t] = positive[u] = True
+        flips += 1
+        if depth + 5 > len(stack):
+            stack = np.concatenate((stack, np.empty_like(stack)))
+        k2, j2 = (k + 2) % 3, (j + 2) % 3
+        stack[depth, 0], stack[depth, 1] = t, k
+        stack[depth + 1, 0], stack[depth + 1, 1] = t, k2
+        stack[depth + 2, 0], stack[depth + 2, 1] = u, j
+        stack[depth + 3, 0], stack[depth + 3, 1] = u, j2
+        depth += 4
+        if not proper:  # otherwise the new edge passes
+            stack[depth, 0], stack[depth, 1] = t, (k + 1) % 3
+            depth += 1
+    ok = positive.all() and (not stuck or _failing(*arrays, positive)[1] == 0)
+    return flips, inverted, ok
+
+
+@njit(cache=True)
+def _failing(points, weight, period, triangles, neighbours, shifts, positive):  # type: ignore[no-untyped-def]
+    """Edges that fail, each a triangle and its corner opposite, and their number.
+
+    `positive` (t,) is set to whether the area of each triangle is positive.
+    """
+    for t in range(len(triangles)):
+        a = _site(triangles, shifts, t, 0)
+        b, c = _site(triangles, shifts, t, 1), _site(triangles, shifts, t, 2)
+        positive[t] = orientation(points, period, a, b, c) > 0
+    found, size = np.empty((64, 2), np.int32), 0
+    for t in range(len(triangles)):
+        for k in range(3):
+            u = neighbours[t, k]
+            if u < t:  # boundary, or looked at from the other side
+                continue
+            j = _back(triangles, neighbours, shifts, t, k, u)
+            a, b, c, d = _corners(triangles, shifts, t, k, u, j)
+            if positive[t] and positive[u] and in_circle(points, weight, period, a, b, c, d) <= 0:
+                continue
+            if size == len(found):
+                found = np.concatenate((found, np.empty_like(found)))
+            found[size, 0], found[size, 1] = t, k
+            size += 1
+    return found, size
+
+
+@njit(cache=True, forceinline=True)
+def _site(triangles, shifts, t, k):  # type: ignore[no-untyped-def]
+    """Corner k of triangle t: its vertex and image."""
+    return np.int64(triangles[t, k]), np.int64(shifts[t, k, 0]), np.int64(shifts[t, k, 1])
+
+
+@njit(cache=True, forceinline=True)
+def _back(triangles, neighbours, shifts, t, k, u):  # type: ignore[no-untyped-def]
+    """Corner of triangle u opposite the edge that is opposite corner k of triangle t."""
+    at_1, at_2 = neighbours[u, 1] == t, neighbours[u, 2] == t
+    if (neighbours[u, 0] == t) + at_1 + at_2 == 1:
+        return at_1 + 2 * at_2
+    return _back_by_edge(triangles, shifts, t, k, u)
+
+
+@njit(cache=True)
+def _back_by_edge(triangles, shifts, t, k, u):  # type: ignore[no-untyped-def]
+    """The same where t and u share several edges, by both ends and the image of one from the other.
+
+    It happens in small periodic boxes, and for a moment round a vertex that crossed an edge.
+    """
+    k1, k2 = (k + 1) % 3, (k + 2) % 3
+    for j in range(3):
+        j1, j2 = (j + 1) % 3, (j + 2) % 3
+        if (
+            triangles[u, j1] == triangles[t, k2]
+            and triangles[u, j2] == triangles[t, k1]
+            and shifts[u, j1, 0] - shifts[u, j2, 0] == shifts[t, k2, 0] - shifts[t, k1, 0]
+            and shifts[u, j1, 1] - shifts[u, j2, 1] == shifts[t, k2, 1] - shifts[t, k1, 1]
+        ):
+            return j
+    raise ValueError("neighbours do not fit the triangles")
+
+
+@njit(cache=True, forceinline=True)
+def _corners(triangles, shifts, t, k, u, j):  # type: ignore[no-untyped-def]
+    """Sites a, b, c of triangle t from corner k on, and d of triangle u beyond the edge bc."""
+    b = _site(triangles, shifts, t, (k + 1) % 3)
+    far = _site(triangles, shifts, u, (j + 2) % 3)  # b again, as triangle u has it
+    d = _site(triangles, shifts, u, j)
+    d = (d[0], d[1] + b[1] - far[1], d[2] + b[2] - far[2])
+    return _site(triangles, shifts, t, k), b, _site(triangles, shifts, t, (k + 2) % 3), d
+
+
+@njit(cache=True)
+def _flip(triangles, neighbours, shifts, t, k, u, j, a, d):  # type: ignore[no-untyped-def]
+    """Eq. (1): triangles t = (a, b, c) and u = (d, c, b), from k and j on, become abd and dca."""
+    k1, k2, j1, j2 = (k + 1) % 3, (k + 2) % 3, (j + 1) % 3, (j + 2) % 3
+    # What lies beyond bd goes from u to t, what lies beyond ca from t to u.
+    v, w = neighbours[u, j1], neighbours[t, k1]
+    at_v = _back(triangles, neighbours, shifts, u, j1, v) if v >= 0 else 0
+    at_w = _back(triangles, neighbours, shifts, t, k1, w) if w >= 0 else 0
+    if v == t and at_v == k1:  # both are one edge, in a small periodic box
+        v, w = u, t
+    else:
+        if v >= 0:
+            neighbours[v, at_v] = t
+        if w >= 0:
+            neighbours[w, at_w] = u
+    neighbours[t, k], neighbours[t, k1] = v, u
+    neighbours[u, j], neighbours[u, j1] = w, t
+    for axis in range(2):
+        hop = d[1 + axis] - shifts[u, j, axis]  # from the images of u to those of t
+        shifts[t, k2, axis] = d[1 + axis]
+        shifts[u, j2, axis] = a[1 + axis] - hop
+    triangles[t, k2], triangles[u, j2] = d[0], a[0]
+
+
+__all__ = ["repair"]
