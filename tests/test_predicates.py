@@ -96,21 +96,14 @@ def test_ties_and_near_ties_are_told_apart(coordinates, radii, shifts, unit, ori
     agree(points, weight, np.array([8.0, 5.0]) * unit, sites_of(shifts))
 
 
-@pytest.mark.parametrize("hop", [0, 1])
-def test_points_next_to_a_line_lie_on_their_side_of_it(hop):
-    # All neighbours, in doubles, of (½, ½), against a diagonal through far points.
-    period = np.array([12.0, 12.0])
-    far = (1, hop, hop), (2, 2 * hop, 2 * hop)
-    for i in range(-16, 17):
-        for j in range(-16, 17):
-            points = np.array([[0.5, 0.5], [12.0, 12.0], [24.0, 24.0]])
-            points[1:] -= hop * period * [[1], [2]]
-            points[0] += np.array([i, j]) * 2.0**-53
-            expected = exact_orientation(points, period, (0, 0, 0), *far)
-            assert expected == sign(points[0, 1] - points[0, 0])
-            for order in permutations([(0, 0, 0), *far]):
-                parity = round(np.linalg.det(np.eye(3)[[site[0] for site in order]]))
-                assert orientation(points, period, *order) == parity * expected
+def test_points_of_a_line_but_for_their_rounding_lie_on_their_side_of_it():
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        a, b = rng.uniform(0, 1, 2), rng.uniform(0, 30, 2)
+        points = np.stack([a, b, a + rng.uniform(-1, 2) * (b - a)])
+        for order in permutations(HERE[:3]):
+            expected = exact_orientation(points, NO_PERIOD, *order)
+            assert orientation(points, NO_PERIOD, *order) == expected
 
 
 def test_close_points_on_both_sides_of_the_edge_of_a_large_box():

@@ -73,7 +73,7 @@ def repair(points, weight, period, triangles, neighbours, shifts):  # type: igno
     arrays = points, weight, period, triangles, neighbours, shifts
     stack, depth = _failing(*arrays, positive)
     inverted = len(positive) - positive.sum()
-    flips, stuck = 0, False
+    flips, doubt = 0, inverted > 0
     while depth > 0:
         depth -= 1
         t, k = stack[depth, 0], stack[depth, 1]
@@ -82,20 +82,19 @@ def repair(points, weight, period, triangles, neighbours, shifts):  # type: igno
             continue
         j = _back(triangles, neighbours, shifts, t, k, u)
         a, b, c, d = _corners(triangles, shifts, t, k, u, j)
-        proper = positive[t] and positive[u]
-        if proper and in_circle(points, weight, period, a, b, c, d) <= 0:
+        if positive[t] and positive[u] and in_circle(points, weight, period, a, b, c, d) <= 0:
             continue
         if (
             orientation(points, period, a, b, d) <= 0
             or orientation(points, period, d, c, a) <= 0
             or flips == MOST_FLIPS * len(triangles)
         ):
-            stuck = True  # unless another flip helps
+            doubt = True  # unless another flip helps
             continue
         _flip(triangles, neighbours, shifts, t, k, u, j, a, d)
         positive[t] = positive[u] = True
         flips += 1
-        if depth + 5 > len(stack):
+        if depth + 4 > len(stack):
             stack = np.concatenate((stack, np.empty_like(stack)))
         k2, j2 = (k + 2) % 3, (j + 2) % 3
         stack[depth, 0], stack[depth, 1] = t, k
@@ -103,10 +102,9 @@ def repair(points, weight, period, triangles, neighbours, shifts):  # type: igno
         stack[depth + 2, 0], stack[depth + 2, 1] = u, j
         stack[depth + 3, 0], stack[depth + 3, 1] = u, j2
         depth += 4
-        if not proper:  # otherwise the new edge passes
-            stack[depth, 0], stack[depth, 1] = t, (k + 1) % 3
-            depth += 1
-    ok = positive.all() and (not stuck or _failing(*arrays, positive)[1] == 0)
+    # Every edge has passed since its triangles last changed; the edge of a flip passes by itself if
+    # its triangles were positive. In doubt, all are looked at again.
+    ok = positive.all() and (not doubt or _failing(*arrays, positive)[1] == 0)
     return flips, inverted, ok
 
 
