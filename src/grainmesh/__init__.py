@@ -8,22 +8,34 @@
 """
 
 from grainmesh import arrange, closures
+from grainmesh.contact import Contact
 from grainmesh.domain import Box
-from grainmesh.errors import InputError
+from grainmesh.errors import InputError, RunError
+from grainmesh.model import Model
 from grainmesh.particles import Particles
 from grainmesh.permeability import Permeability, permeability
+from grainmesh.relax import relax
+from grainmesh.simulation import Simulation, resume
 from grainmesh.triangulation import Triangulation, triangulate
+from grainmesh.walls import Wall
 
 __version__ = "0.1.0"
 
 __all__ = [
     "Box",
+    "Contact",
     "InputError",
+    "Model",
     "Particles",
     "Permeability",
+    "RunError",
+    "Simulation",
     "Triangulation",
+    "Wall",
     "arrange",
     "closures",
     "permeability",
+    "relax",
+    "resume",
     "triangulate",
 ]

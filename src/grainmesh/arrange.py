@@ -212,6 +212,61 @@ def random(
     return box, particles
 
 
+def loose(
+    box: Box,
+    n: int,
+    *,
+    diameter: ArrayLike,
+    density: float = 2500.0,
+    gap: float = 0.1,
+    seed: int = 0,
+) -> Particles:
+    """Discs on a loose square lattice in a box with walls, row upon row from its floor, to fall.
+
+    Parameters
+    ----------
+    box : Box
+    n : int
+        Number of discs.
+    diameter : float, (float, float) or array_like (n,)
+        Diameter [m]: of all, bounds of a uniform distribution, or of each.
+    density : float
+        [kg/m3].
+    gap : float
+        Mean gap between discs, in largest diameters; each disc is moved at random by less than
+        half of it.
+    seed : int
+        Of the random numbers.
+
+    Returns
+    -------
+    Particles
+
+    Raises
+    ------
+    InputError
+        If the discs do not fit into the box, or a value is not positive.
+    """
+    n = _count("n", n)
+    rng = np.random.default_rng(seed)
+    d = np.asarray(diameter, dtype=float)
+    if d.shape == (2,) and n != 2:
+        d = rng.uniform(d[0], d[1], n)
+    d = Particles(np.zeros((n, 2)), d).diameter  # checks shape and sign
+    largest, gap = float(d.max()), _positive("gap", gap)
+    pitch = (1.0 + gap) * largest
+    columns = int(box.width / pitch)
+    if columns == 0 or -(-n // columns) * pitch > box.height:
+        room = columns * int(box.height / pitch)
+        raise InputError(
+            f"{n} discs of up to {largest:g} m do not fit loosely into the box {box.width:g} m x "
+            f"{box.height:g} m, which has room for {room}: enlarge it or reduce n, diameter or gap"
+        )
+    row, column = np.divmod(np.arange(n), columns)
+    x = np.stack([(column + 0.5) * box.width / columns, (row + 0.5) * pitch], axis=1)
+    return Particles(x + rng.uniform(-0.49, 0.49, (n, 2)) * gap * largest, d, density)
+
+
 def from_csv(
     path: str | PathLike[str],
     *,
@@ -411,4 +466,4 @@ def _solid(porosity: float, limit: float = 1.0) -> float:
     return 1 - porosity
 
 
-__all__ = ["from_csv", "hexagonal", "random", "square", "staggered"]
+__all__ = ["from_csv", "hexagonal", "loose", "random", "square", "staggered"]

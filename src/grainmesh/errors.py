@@ -1,4 +1,4 @@
-"""The one exception for a user's mistake."""
+"""The two exceptions for users: input that cannot be used, a run that cannot go on."""
 
 
 class InputError(ValueError):
@@ -6,3 +6,7 @@ class InputError(ValueError):
 
     The command line prints the message on stderr and exits with status 2.
     """
+
+
+class RunError(RuntimeError):
+    """A run that cannot go on; its message is one plain line that says what happened and when."""

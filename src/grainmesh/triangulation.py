@@ -30,7 +30,7 @@ sum (1 - ε_T) A_T = sum V_j always.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
 
@@ -49,6 +49,8 @@ Int = NDArray[np.int32]
 Bool = NDArray[np.bool_]
 T = TypeVar("T", bound=np.generic)
 
+#: Corners of the unit square.
+CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 #: Strain that decides between the diagonals of a square: far above round-off, far below any gap.
 STRAIN = (1.1e-7, 0.7e-7)
 #: A particle closer to a wall than this share of its diameter becomes a point of the wall.
@@ -278,7 +280,56 @@ def triangulate(box: Box, particles: Particles, *, wall_nodes: bool = True) -> T
     weight[: len(particles)] = particles.radius**2
     weight[on_wall] = particles.radius.min() ** 2
 
-    whole = box.periodic or wall_nodes
+    return _connect(box, particles, points, weight, whole=box.periodic or wall_nodes)
+
+
+def enclose(box: Box, particles: Particles) -> tuple[Triangulation, Float]:
+    """Power triangulation of all particles, wherever they are, with their own weights r².
+
+    Parameters
+    ----------
+    box : Box
+        Only its period counts, if it is periodic.
+    particles : Particles
+
+    Returns
+    -------
+    mesh : Triangulation
+        Periodic, or of a rectangle around all particles, with room to move, and a few nodes on its
+        edge.
+    weight : (m,)
+        Power weights of the vertices [m2], 0 for those nodes: so all discs that touch are
+        joined, also at the outer edge.
+
+    Raises
+    ------
+    InputError
+        As `triangulate`.
+    """
+    weight = particles.radius**2
+    if box.periodic:
+        inside = Particles(wrapped(box, particles.x), particles.diameter, particles.density)
+        return _connect(box, inside, np.array(inside.x), weight, whole=True), weight
+    low, high = particles.x.min(axis=0), particles.x.max(axis=0)
+    margin = 0.1 * float((high - low).max()) + 4.0 * float(particles.diameter.max())
+    around = Box(*(high - low + 2.0 * margin))
+    nodes = [CORNERS * around.size]
+    for axis in (0, 1):  # closer than they are to the particles, for well-shaped triangles
+        along = np.linspace(0.0, around.size[axis], int(around.size[axis] / margin) + 2)[1:-1]
+        for wall in (0.0, around.size[1 - axis]):
+            line = np.full((len(along), 2), wall)
+            line[:, axis] = along
+            nodes.append(line)
+    points = np.vstack([particles.x - low + margin, *nodes])
+    weight = np.concatenate([weight, np.zeros(len(points) - len(weight))])
+    mesh = _connect(around, particles, points, weight, whole=True)
+    return replace(mesh, points=points - margin + low), weight
+
+
+def _connect(
+    box: Box, particles: Particles, points: Float, weight: Float, whole: bool
+) -> Triangulation:
+    """Triangles where three power cells meet; `whole`: they must cover the box."""
     margin = 4.0 * float(particles.diameter.max()) if whole else 0.5 * float(box.size.max())
     for attempt in range(8):
         window = np.array([-np.ones(2) * margin, box.size + margin])
@@ -383,7 +434,7 @@ def _wall_nodes(box: Box, points: Float, particles: Particles) -> Float:
     """Nodes on the walls [m], (k, 2): free corners, and nodes in between as `triangulate` says."""
     d = particles.mean_diameter
     aim = max(WALL_SPACING * d, WALL_SPACING_DILUTE * float(np.sqrt(box.area / len(particles))))
-    corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * box.size
+    corners = CORNERS * box.size
     taken = (corners[:, None] == points).all(axis=-1).any(axis=1)
     nodes = [corners[~taken]]
     tree, nearest = cKDTree(points), np.arange(1, min(8, len(points)) + 1)
@@ -433,4 +484,4 @@ def _fixed(array: NDArray[T]) -> NDArray[T]:
     return array
 
 
-__all__ = ["Triangulation", "triangulate"]
+__all__ = ["Triangulation", "enclose", "triangulate"]

@@ -1,0 +1,188 @@
+"""The contact law: linear spring-dashpot, Coulomb friction with history, rolling resistance.
+
+Two discs in contact overlap by δ = r_i + r_j - |x_j - x_i|. With n from i to j, the approach speed
+v_n = δ', the sliding speed v_t of the surfaces and the rolling speed v_r (Luding, Granular Matter
+10 (2008) 235), forces per unit depth are
+
+    f_n = k δ + c v_n                                                                         (1)
+    f_t = k_t q + c_t v_t,    q' = v_t,      |f_t| <= mu max(f_n, 0)                            (2)
+    f_r = k_t q_r + c_t v_r,  q_r' = v_r,    |f_r| <= mu_r max(f_n, 0)                          (3)
+
+where q and q_r stop growing when the bound is reached. f_r makes no force but a torque f_r a with
+a = r_i r_j/(r_i + r_j) and v_r = a (w_i - w_j). For a pair of effective mass m the approach is a
+damped oscillation, hence (e: restitution, t_c: contact time)
+
+    β = -ln e / sqrt(π² + ln² e),   c = 2 β sqrt(k m),   t_c = π / sqrt((1 - β²) k/m).        (4)
+
+A contact begins and ends inside a step. Taken as if it did so at its end, energy errs by up to
+(Δt/t_c) per collision. So let θ be the share of the step spent in contact, at the first and at the
+last step of a contact, else 1; then k δ is weighted with
+
+    (θ_in + θ_out)/2 - h [θ_in (1 - θ_in²) + θ_out (1 - θ_out²)]/8,    h = k Δt²/m             (5)
+
+which keeps the energy of leapfrog in an elastic collision to O(h³), and c v_n with the time it
+covers. The law is then of second order in Δt.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import exp, isfinite, log, pi, sqrt
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from grainmesh.errors import InputError
+
+Float = NDArray[np.float64]
+
+#: Steps in the shortest contact: recommended, and the fewest that are taken.
+STEPS, FEWEST_STEPS = 50, 20
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Parameters of the contact law, the same for all contacts.
+
+    Parameters
+    ----------
+    stiffness : float
+        k, normal stiffness per unit depth [N/m2 times m of overlap and m of depth: N/m].
+    restitution : float, optional
+        e, 0 < e <= 1; 0.9 if neither this nor `damping` is given.
+    damping : float, optional
+        Instead of `restitution`: c / m_eff [1/s], the same for all pairs.
+    friction : float
+        mu >= 0.
+    tangential : float
+        k_t / k, above 0 and at most 1.
+    tangential_damping : float
+        c_t / c, 0 to 1.
+    rolling : float
+        mu_r >= 0, rolling resistance; 0 for none.
+
+    Raises
+    ------
+    InputError
+        If a value is out of its range.
+    """
+
+    stiffness: float
+    restitution: float | None = None
+    damping: float | None = None
+    friction: float = 0.3
+    tangential: float = 2.0 / 7.0
+    tangential_damping: float = 0.5
+    rolling: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.restitution is not None and self.damping is not None:
+            raise InputError("contact: give restitution or damping, not both")
+        if self.restitution is None and self.damping is None:
+            object.__setattr__(self, "restitution", 0.9)
+        for name, low, high, words in (
+            ("stiffness", 0.0, float("inf"), "positive [N/m]"),
+            ("restitution", 0.0, 1.0, "above 0 and at most 1"),
+            ("damping", -1e-300, float("inf"), "at least 0 [1/s]"),
+            ("friction", -1e-300, float("inf"), "at least 0"),
+            ("tangential", 0.0, 1.0, "above 0 and at most 1 (k_t/k)"),
+            ("tangential_damping", -1e-300, 1.0, "from 0 to 1 (c_t/c)"),
+            ("rolling", -1e-300, float("inf"), "at least 0"),
+        ):
+            value = getattr(self, name)
+            if value is None:
+                continue
+            if not (isfinite(value) and low < value <= high):
+                raise InputError(f"contact: {name} = {value:g} must be {words}")
+            object.__setattr__(self, name, float(value))
+
+    def damping_ratio(self, mass: float) -> float:
+        """β of Eq. (4) for the effective mass [kg/m]."""
+        if self.restitution is not None:
+            return -log(self.restitution) / sqrt(pi**2 + log(self.restitution) ** 2)
+        assert self.damping is not None
+        return 0.5 * self.damping * sqrt(mass / self.stiffness)
+
+    def contact_time(self, mass: float) -> float:
+        """t_c [s] of a pair of effective mass m_i m_j/(m_i + m_j) [kg/m], Eq. (4).
+
+        Raises
+        ------
+        InputError
+            If the damping is so strong that the pair would not separate.
+        """
+        ratio = self.damping_ratio(mass)
+        if ratio >= 1.0:
+            most = 2.0 * sqrt(self.stiffness / mass)
+            raise InputError(
+                f"contact: damping {self.damping:g} 1/s is overdamped, below {most:.3g} 1/s is "
+                "needed for the heaviest pair"
+            )
+        return pi / sqrt((1.0 - ratio**2) * self.stiffness / mass)
+
+    def coefficient(self, mass: Float) -> Float:
+        """c [kg/s per m] of pairs of effective masses (l,) [kg/m], Eq. (4)."""
+        if self.damping is not None:
+            return self.damping * mass
+        return 2.0 * self.damping_ratio(1.0) * np.sqrt(self.stiffness * mass)
+
+    def restitution_of(self, mass: float) -> float:
+        """Restitution of a pair of effective mass m [kg/m], Eq. (4)."""
+        ratio = self.damping_ratio(mass)
+        return exp(-pi * ratio / sqrt(1.0 - ratio**2))
+
+
+@njit(cache=True, forceinline=True)
+def bond(o, un, vn, ut, vt, ur, vr, k, kt, c, ct, mass, mu, mur, q, qr, dt):  # type: ignore[no-untyped-def]
+    """Forces of a contact with overlap `o`, Eqs. (1) to (3).
+
+    Speeds of approach (n), sliding (t) and rolling (r) are `u` over the step that ends now and `v`
+    now; `q` and `qr` are the springs a step ago.
+
+    Returns
+    -------
+    fn, fd, ft, fs, fr, q, qr
+        Normal force and the part of its dashpot; sliding force and the part of its spring; rolling
+        force; springs now.
+    """
+    we = wd = share = 1.0
+    if o < 2.0 * abs(vn) * dt:
+        we, wd, share = shares(o, un, vn, k, c, mass, dt)
+    fd, ct = wd * c * vn, wd * ct
+    fn = we * k * o + fd
+    most = max(fn, 0.0)
+    ft, q = slide(q, vt, ut * share, we * kt, ct, mu * most, dt)
+    fr = 0.0
+    if mur > 0.0:
+        fr, qr = slide(qr, vr, ur * share, we * kt, ct, mur * most, dt)
+    return fn, fd, ft, ft - ct * vt, fr, q, qr
+
+
+@njit(cache=True)
+def shares(o, un, vn, k, c, mass, dt):  # type: ignore[no-untyped-def]
+    """Weights of the elastic and the damping force, Eq. (5), and the share of the step before."""
+    start = end = 1.0
+    before = after = 0.5
+    if o < un * dt:
+        start = before = o / (un * dt)
+    ahead = un - dt * (k * o + c * vn) / mass  # approach speed over the step that comes
+    if o < -ahead * dt:
+        end = after = -o / (ahead * dt)
+    h = k * dt * dt / mass
+    bend = start * (1.0 - start * start) + end * (1.0 - end * end)
+    return 0.5 * (start + end) - 0.125 * h * bend, before + after, start
+
+
+@njit(cache=True, forceinline=True)
+def slide(q, vt, ut, k, c, most, dt):  # type: ignore[no-untyped-def]
+    """Force and spring after a step, Eqs. (2), (3); `ut` is the speed over the step."""
+    q = q + ut * dt
+    f = k * q + c * vt
+    if abs(f) > most:
+        f = most if f > 0.0 else -most
+        q = (f - c * vt) / k
+    return f, q
+
+
+__all__ = ["FEWEST_STEPS", "STEPS", "Contact", "bond"]

@@ -1,0 +1,360 @@
+"""Newton's equations for discs in contact: velocity-Verlet, many steps without leaving the loop.
+
+With half steps written out, h the velocity over a step and a the acceleration,
+
+    h_{n+1/2} = h_{n-1/2} + Δt a_n,    x_{n+1} = x_n + Δt h_{n+1/2},                           (1)
+    v_n = h_{n-1/2} + Δt a_n / 2                                                              (2)
+
+for places and angles alike. Springs see x, and the h that stretched them; dashpots see the velocity
+foretold, h_{n-1/2} + Δt a_{n-1}/2, which keeps second order. From (1) and (2)
+
+    KE_N - KE_0 = sum_n (F_{n-1} + F_n)/2 . (x_n - x_{n-1}) + Δt²/8 sum_i m (a_N² - a_0²)       (3)
+
+holds exactly, so the ledger adds the work of each force by this trapezoid; for a linear spring that
+is -Δ(k δ²/2), whence the books close but for the last term.
+"""
+
+from __future__ import annotations
+
+from math import cos, sin, sqrt
+
+import numpy as np
+from numba import njit
+
+from grainmesh.contact import bond
+from grainmesh.walls import AX, AY, FRICTION, LENGTH, OMEGA, SX, SY, TX, TY, UX, UY
+
+#: Columns of the state of a disc: place, velocity over the last step, velocity foretold for now
+#: (spins as speeds of the surface, r w), radius, force, torque over r.
+X, Y, HX, HY, VX, VY, HS, VS, R, FX, FY, T = range(12)
+#: Columns of constants of a disc: 1/m, r²/I, force from outside, the same a step ago.
+IM, IJ, EX, EY, OX, OY = range(6)
+#: Columns of the history of a contact: springs q and q_r; for the ledger, all a step ago: overlap,
+#: damping force (normal, tangential), spring force (sliding, rolling), force of a wall.
+Q, QR, GAP, DN, DT, FS, FR, PX, PY = range(9)
+#: Entries of the ledger: work lost to damping, sliding, rolling; done by walls and by forces from
+#: outside [J/m]; impulse by walls and from outside [N s/m].
+DAMPED, SLID, ROLLED, WALLS, OUTSIDE, WX, WY, GX, GY = range(9)
+LEDGER = (
+    "damped", "slid", "rolled", "work of walls", "work outside",
+    "impulse of walls x", "impulse of walls y", "impulse outside x", "impulse outside y",
+)  # fmt: skip
+#: Why `advance` returned.
+DONE, STALE, BROKEN = range(3)
+
+
+@njit(cache=True)
+def advance(  # type: ignore[no-untyped-def]
+    s, p, law, pairs, touch, walls, moved, offset, rolling, ledger, dt, seen, skin, first, steps
+):
+    """Advance from step `first`, where forces are known, until a list is stale or numbers break.
+
+    Parameters
+    ----------
+    s, p : (n, 12), (n, 6)
+        State and constants of the discs; `s` is changed in place.
+    law : (6,)
+        k, k_t, c_t/c, mu and gravity [m/s2].
+    pairs, touch : Near
+        Near discs and near walls; their histories are changed in place.
+    walls, moved : (w, 11), (w, 6)
+        Table of walls; how far each has moved now and a step ago [m], and its velocity [m/s];
+        changed in place.
+    offset : (l, 2) or None
+        That of `pairs` in a periodic box.
+    rolling : float or None
+        mu_r. What is None here and below is left out of the compiled loop.
+    ledger : (9,) or None
+        Sums that are added to.
+    dt : float
+        Step [s].
+    seen : (n + w, 2)
+        Places of discs, and ways of walls, when the lists were made [m].
+    skin : float
+        How far a disc and another, or a wall, may have moved from there together [m].
+    first, steps : int
+        Number of the first step, and how many.
+
+    Returns
+    -------
+    done, why : int
+        Steps done, and `DONE`; `STALE`: places are those after the last step, but forces wait for
+        new lists (then call `forces`); `BROKEN`: a force was not finite, the state is lost.
+    """
+    n = len(s)
+    room, fastest = -1.0, 0.0
+    for w in range(len(walls)):
+        u, a = walls[w, UX : UY + 1], walls[w, SX : SY + 1]
+        fastest = max(fastest, np.hypot(u[0], u[1]) + walls[w, OMEGA] * np.hypot(a[0], a[1]))
+    for step in range(first, first + steps):
+        top, probe = 0.0, 0.0
+        for i in range(n):
+            ax = s[i, FX] * p[i, IM] + law[4]
+            ay = s[i, FY] * p[i, IM] + law[5]
+            at = s[i, T] * p[i, IJ]
+            hx, hy, hs = s[i, HX] + dt * ax, s[i, HY] + dt * ay, s[i, HS] + dt * at
+            s[i, HX], s[i, HY], s[i, HS] = hx, hy, hs
+            s[i, VX], s[i, VY], s[i, VS] = (
+                hx + 0.5 * dt * ax,
+                hy + 0.5 * dt * ay,
+                hs + 0.5 * dt * at,
+            )
+            s[i, X] += dt * hx  # Eq. (1)
+            s[i, Y] += dt * hy
+            s[i, FX], s[i, FY], s[i, T] = p[i, EX], p[i, EY], 0.0
+            top = max(top, hx * hx + hy * hy)
+            probe += 0.0 * (hx + hy + hs)  # nan if one is nan or infinite
+        if probe != 0.0:
+            return step - first, BROKEN
+        if fastest > 0.0:
+            move_walls(walls, moved, (step + 1) * dt)
+        room -= (2.0 * sqrt(top) + fastest) * dt
+        if room < 0.0:
+            room = skin - farthest(s, moved, seen)
+            if room < 0.0:
+                return step + 1 - first, STALE
+        _pair_forces(s, law, pairs, offset, rolling, ledger, dt)
+        _wall_forces(s, law, touch, walls, moved, rolling, ledger, dt)
+        if ledger is not None:
+            _work_outside(s, p, ledger, dt)
+    return steps, DONE
+
+
+@njit(cache=True)
+def forces(s, p, law, pairs, touch, walls, moved, offset, rolling, ledger, dt):  # type: ignore[no-untyped-def]
+    """Forces at the present places, with the work since the last step; arguments as `advance`."""
+    for i in range(len(s)):
+        s[i, FX], s[i, FY], s[i, T] = p[i, EX], p[i, EY], 0.0
+    _pair_forces(s, law, pairs, offset, rolling, ledger, dt)
+    _wall_forces(s, law, touch, walls, moved, rolling, ledger, dt)
+    if ledger is not None:
+        _work_outside(s, p, ledger, dt)
+
+
+@njit(cache=True)
+def farthest(s, moved, seen):  # type: ignore[no-untyped-def]
+    """Most by which two discs, or a disc and a wall, can have come closer since `seen` [m]."""
+    n = len(s)
+    far, second, walls = 0.0, 0.0, 0.0
+    for i in range(n):
+        way = (s[i, X] - seen[i, 0]) ** 2 + (s[i, Y] - seen[i, 1]) ** 2
+        if way > far:
+            second, far = far, way
+        elif way > second:
+            second = way
+    for w in range(len(moved)):
+        way = (moved[w, 0] - seen[n + w, 0]) ** 2 + (moved[w, 1] - seen[n + w, 1]) ** 2
+        walls = max(walls, way)
+    return sqrt(far) + sqrt(max(second, walls))
+
+
+@njit(cache=True)
+def outside(s, low, high):  # type: ignore[no-untyped-def]
+    """First disc wholly outside [low, high] (2,) [m], or -1."""
+    for i in range(len(s)):
+        for c in range(2):
+            if s[i, X + c] + s[i, R] < low[c] or s[i, X + c] - s[i, R] > high[c]:
+                return i
+    return -1
+
+
+@njit(cache=True)
+def beyond(s, walls, moved):  # type: ignore[no-untyped-def]
+    """First disc with its centre behind a side of the box, and which wall it is, or -1, -1."""
+    for w in range(len(walls)):
+        if walls[w, LENGTH] < np.inf:
+            continue
+        ax, ay = walls[w, AX] + moved[w, 0], walls[w, AY] + moved[w, 1]
+        for i in range(len(s)):
+            if (s[i, Y] - ay) * walls[w, TX] - (s[i, X] - ax) * walls[w, TY] < 0.0:
+                return i, w
+    return -1, -1
+
+
+@njit(cache=True)
+def move_walls(walls, moved, time):  # type: ignore[no-untyped-def]
+    """How far the walls have moved by a time [s], and their velocity, `walls` Eq. (1)."""
+    for w in range(len(walls)):
+        moved[w, 2], moved[w, 3] = moved[w, 0], moved[w, 1]
+        for c in range(2):
+            u, size, omega = walls[w, UX + c], walls[w, SX + c], walls[w, OMEGA]
+            moved[w, c] = u * time + size * sin(omega * time)
+            moved[w, 4 + c] = u + omega * size * cos(omega * time)
+
+
+@njit(cache=True)
+def _pair_forces(s, law, near, offset, rolling, ledger, dt):  # type: ignore[no-untyped-def]
+    start, other, damping, mass, old = near.start, near.other, near.damping, near.mass, near.history
+    k, kt, ratio, mu = law[0], law[1], law[2], law[3]
+    for i in range(len(s)):
+        x, y, r = s[i, X], s[i, Y], s[i, R]
+        fx, fy, torque = 0.0, 0.0, 0.0
+        for e in range(start[i], start[i + 1]):
+            j = other[e]
+            dx, dy = s[j, X] - x, s[j, Y] - y
+            if offset is not None:
+                dx, dy = dx + offset[e, 0], dy + offset[e, 1]
+            reach = r + s[j, R]
+            dd = dx * dx + dy * dy
+            if ledger is None and dd >= reach * reach:
+                old[e, Q] = 0.0
+                if rolling is not None:
+                    old[e, QR] = 0.0
+                continue
+            distance = sqrt(dd)
+            inverse = 1.0 / distance
+            nx, ny, o = dx * inverse, dy * inverse, reach - distance
+            hx, hy = s[i, HX] - s[j, HX], s[i, HY] - s[j, HY]
+            vx, vy = s[i, VX] - s[j, VX], s[i, VY] - s[j, VY]
+            un, vn = hx * nx + hy * ny, vx * nx + vy * ny
+            ut = hy * nx - hx * ny + s[i, HS] + s[j, HS]
+            vt = vy * nx - vx * ny + s[i, VS] + s[j, VS]
+            a = ur = vr = qr = mur = 0.0
+            if rolling is not None:
+                mur = rolling
+                a, qr = r * s[j, R] / reach, old[e, QR]
+                ur = a * (s[i, HS] / r - s[j, HS] / s[j, R])
+                vr = a * (s[i, VS] / r - s[j, VS] / s[j, R])
+            fn = fd = ft = fs = fr = q = 0.0
+            if o > 0.0:
+                c = damping[e]
+                fn, fd, ft, fs, fr, q, qr = bond(
+                    o, un, vn, ut, vt, ur, vr, k, kt, c, ratio * c, mass[e], mu, mur,
+                    old[e, Q], qr, dt,
+                )  # fmt: skip
+            else:
+                qr = 0.0
+            if ledger is not None:
+                _book(old[e], o, fd, ft - fs, fs, fr, q, qr, ut * dt, ur * dt, kt, ledger)
+            old[e, Q] = q
+            if rolling is not None:
+                old[e, QR] = qr
+                torque -= fr * a / r
+                s[j, T] += fr * a / s[j, R]
+            px, py = fn * nx - ft * ny, fn * ny + ft * nx
+            fx -= px
+            fy -= py
+            torque -= ft
+            s[j, FX] += px
+            s[j, FY] += py
+            s[j, T] -= ft
+        s[i, FX] += fx
+        s[i, FY] += fy
+        s[i, T] += torque
+
+
+@njit(cache=True)
+def _wall_forces(s, law, near, walls, moved, rolling, ledger, dt):  # type: ignore[no-untyped-def]
+    start, damping, mass, old = near.start, near.damping, near.mass, near.history
+    k, kt, ratio = law[0], law[1], law[2]
+    for i in range(len(s)):
+        for e in range(start[i], start[i + 1]):
+            w = near.other[e]
+            o, nx, ny, at_end = to_wall(s, i, near, e, walls, moved)
+            if at_end and o > 0.0 and held(s, i, near, e, o, walls, moved):
+                o = 0.0
+            if ledger is None and o <= 0.0:
+                old[e, Q] = 0.0
+                if rolling is not None:
+                    old[e, QR] = 0.0
+                continue
+            wx, wy = (moved[w, 0] - moved[w, 2]) / dt, (moved[w, 1] - moved[w, 3]) / dt
+            hx, hy = s[i, HX] - wx, s[i, HY] - wy
+            vx, vy = s[i, VX] - moved[w, 4], s[i, VY] - moved[w, 5]
+            un, vn = hx * nx + hy * ny, vx * nx + vy * ny
+            ut, vt = hy * nx - hx * ny + s[i, HS], vy * nx - vx * ny + s[i, VS]
+            qr = mur = 0.0
+            if rolling is not None and o > 0.0:
+                mur, qr = rolling, old[e, QR]
+            fn = fd = ft = fs = fr = q = 0.0
+            if o > 0.0:
+                c, mu = damping[e], walls[w, FRICTION]
+                fn, fd, ft, fs, fr, q, qr = bond(
+                    o, un, vn, ut, vt, s[i, HS], s[i, VS], k, kt, c, ratio * c, mass[e], mu, mur,
+                    old[e, Q], qr, dt,
+                )  # fmt: skip
+            px, py = ft * ny - fn * nx, -fn * ny - ft * nx
+            if ledger is not None:
+                _book(old[e], o, fd, ft - fs, fs, fr, q, qr, ut * dt, s[i, HS] * dt, kt, ledger)
+                jx, jy = 0.5 * dt * (px + old[e, PX]), 0.5 * dt * (py + old[e, PY])
+                ledger[WX] += jx
+                ledger[WY] += jy
+                ledger[WALLS] += jx * wx + jy * wy
+                old[e, PX], old[e, PY] = px, py
+            old[e, Q] = q
+            if rolling is not None:
+                old[e, QR] = qr
+            s[i, FX] += px
+            s[i, FY] += py
+            s[i, T] -= ft + fr
+
+
+@njit(cache=True)
+def _book(row, o, fd, fdt, fs, fr, q, qr, slid, rolled, kt, ledger):  # type: ignore[no-untyped-def]
+    """Work of a contact since the last step, Eq. (3), written into the ledger."""
+    ledger[DAMPED] += 0.5 * (row[DN] + fd) * (o - row[GAP]) + 0.5 * (row[DT] + fdt) * slid
+    ledger[SLID] += 0.5 * (row[FS] + fs) * slid - 0.5 * kt * (q * q - row[Q] ** 2)
+    ledger[ROLLED] += 0.5 * (row[FR] + fr) * rolled - 0.5 * kt * (qr * qr - row[QR] ** 2)
+    row[GAP], row[DN], row[DT], row[FS], row[FR] = o, fd, fdt, fs, fr
+
+
+@njit(cache=True, forceinline=True)
+def to_wall(s, i, near, e, walls, moved):  # type: ignore[no-untyped-def]
+    """Overlap of disc i with the wall of entry e, direction to the wall, whether at its end."""
+    w = near.other[e]
+    tx, ty, length = walls[w, TX], walls[w, TY], walls[w, LENGTH]
+    dx = s[i, X] - walls[w, AX] - moved[w, 0] - near.offset[e, 0]
+    dy = s[i, Y] - walls[w, AY] - moved[w, 1] - near.offset[e, 1]
+    if length == np.inf:  # a side: the disc is on the left of it, or through it
+        return s[i, R] - (dy * tx - dx * ty), ty, -tx, False
+    along = dx * tx + dy * ty
+    at_end = along <= 0.0 or along >= length
+    along = min(max(along, 0.0), length)
+    dx, dy = dx - along * tx, dy - along * ty
+    distance = sqrt(dx * dx + dy * dy)
+    if distance == 0.0:
+        return s[i, R], ty, -tx, at_end
+    return s[i, R] - distance, -dx / distance, -dy / distance, at_end
+
+
+@njit(cache=True)
+def held(s, i, near, e, o, walls, moved):  # type: ignore[no-untyped-def]
+    """Whether the wall end that entry e touches lies on another wall that holds disc i as much."""
+    _, nx, ny, _ = to_wall(s, i, near, e, walls, moved)
+    px, py = s[i, X] + (s[i, R] - o) * nx, s[i, Y] + (s[i, R] - o) * ny
+    for f in range(near.start[i], near.start[i + 1]):
+        other, _, _, also = to_wall(s, i, near, f, walls, moved)
+        if f == e or other < o or (also and other == o and f > e):
+            continue
+        w = near.other[f]
+        dx = px - walls[w, AX] - moved[w, 0] - near.offset[f, 0]
+        dy = py - walls[w, AY] - moved[w, 1] - near.offset[f, 1]
+        along = dx * walls[w, TX] + dy * walls[w, TY]
+        along = min(max(along, 0.0), walls[w, LENGTH])
+        off = abs(dx - along * walls[w, TX]) + abs(dy - along * walls[w, TY])
+        if off < 1e-9 * s[i, R]:
+            return True
+    return False
+
+
+@njit(cache=True)
+def _work_outside(s, p, ledger, dt):  # type: ignore[no-untyped-def]
+    for i in range(len(s)):
+        jx, jy = 0.5 * dt * (p[i, EX] + p[i, OX]), 0.5 * dt * (p[i, EY] + p[i, OY])
+        ledger[OUTSIDE] += jx * s[i, HX] + jy * s[i, HY]
+        ledger[GX] += jx
+        ledger[GY] += jy
+        p[i, OX], p[i, OY] = p[i, EX], p[i, EY]
+
+
+__all__ = [
+    "BROKEN",
+    "DONE",
+    "STALE",
+    "advance",
+    "farthest",
+    "forces",
+    "held",
+    "move_walls",
+    "to_wall",
+]

@@ -1,0 +1,72 @@
+"""Discs that overlap at the start, pushed apart."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from grainmesh.errors import InputError
+from grainmesh.measure import wall_overlaps
+from grainmesh.model import Model
+from grainmesh.motion import R
+from grainmesh.pairs import Near, walls_closer
+from grainmesh.particles import Particles, close_pairs
+from grainmesh.walls import table
+
+#: Overlap that may stay, in smaller radii, and rounds to get there.
+SMALL, ROUNDS = 1e-3, 2000
+
+
+def relax(model: Model, particles: Particles) -> Particles:
+    """Discs pushed apart, and off the walls of a model, until hardly any overlap is left.
+
+    Each round moves all discs that overlap apart, each by half of the overlap.
+
+    Parameters
+    ----------
+    model : Model
+    particles : Particles
+
+    Returns
+    -------
+    Particles
+        With overlaps of at most `SMALL` of the smaller radius.
+
+    Raises
+    ------
+    InputError
+        If `ROUNDS` do not suffice, because the discs do not fit.
+    """
+    box, r = model.box, particles.radius
+    walls = table(model.all_walls, 0.0)
+    moved = np.zeros((len(walls), 6))
+    state = np.zeros((len(r), 12))
+    state[:, R] = r
+    x, worst = np.array(particles.x), np.inf
+    period = box.size if box.periodic else np.zeros(2)
+    for _ in range(ROUNDS):
+        found = close_pairs(box, Particles(x, 2.0 * r), 0.0)
+        i, j = found[found[:, 0] != found[:, 1]].T
+        away = box.separation(x[i], x[j])
+        distance = np.maximum(np.hypot(*away.T), 1e-9 * r[i])
+        overlap = r[i] + r[j] - distance
+        start, wall, image = walls_closer(x, r, period, 0.0, walls, moved)
+        none = np.zeros((len(wall), 1))
+        near = Near(start, wall, image, image * period, none[:, 0], none[:, 0], none)
+        state[:, :2] = x
+        depth, normal = wall_overlaps(state, near, walls, moved)
+        owner = near.owner
+        share = np.concatenate([overlap / np.minimum(r[i], r[j]), depth / r[owner]])
+        worst = float(share.max(initial=0.0))
+        if worst <= SMALL:
+            return Particles(x, particles.diameter, particles.density)
+        push = (0.5 * overlap / distance)[:, None] * away
+        np.add.at(x, j, push)
+        np.add.at(x, i, -push)
+        np.add.at(x, owner, -np.maximum(depth, 0.0)[:, None] * normal)
+    raise InputError(
+        f"relax: discs still overlap by {100.0 * worst:.3g} % of a radius, they do not fit: "
+        "enlarge the box or reduce the diameters"
+    )
+
+
+__all__ = ["relax"]

@@ -1,0 +1,585 @@
+"""The driver: particles that move, collide and rest, on a triangulation that lives with them.
+
+    model = gm.Model(box, gm.Contact(stiffness=1e4, restitution=0.8))
+    simulation = gm.Simulation(model, particles)
+    simulation.run(until=1.0)
+
+The discs are kept in an order that puts neighbours near each other in memory; whatever leaves this
+module is in the order of the user.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from math import ceil, isfinite
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from grainmesh import checkpoint, motion, pairs
+from grainmesh.cells import wrapped
+from grainmesh.contact import FEWEST_STEPS, STEPS
+from grainmesh.domain import SIDES
+from grainmesh.errors import InputError, RunError
+from grainmesh.living import Living, living
+from grainmesh.measure import (
+    Contacts,
+    contacts_of_discs,
+    contacts_of_walls,
+    energies,
+    overlaps,
+    wall_overlaps,
+)
+from grainmesh.model import Force, Model
+from grainmesh.motion import (
+    EX,
+    EY,
+    FR,
+    FX,
+    FY,
+    HS,
+    HX,
+    HY,
+    IJ,
+    IM,
+    OX,
+    OY,
+    QR,
+    VS,
+    VX,
+    VY,
+    R,
+    T,
+    X,
+    Y,
+)  # fmt: skip
+from grainmesh.pairs import Memory, Near
+from grainmesh.particles import Particles, close_pairs
+from grainmesh.progress import bar
+from grainmesh.walls import table
+
+Float = NDArray[np.float64]
+Int = NDArray[np.int32]
+
+#: Most overlap of discs, or of a disc and a wall, at the start, in (smaller) radii.
+MOST_AT_START = 0.05
+#: The skin is chosen to last for about so many steps, but above this share of the least radius.
+LASTS, THINNEST = 100, 0.02
+#: Steps after which a copy of the state is kept, for the case that the next ones fail.
+CHUNK = 1000
+#: What a checkpoint holds besides lists and mesh.
+NUMBERS = ("step", "dt", "history", "upkeeps", "sorted")
+STATE = ("s", "p", "slot", "rank", "moved", "seen", "books")
+
+
+class Simulation:
+    """Particles in motion.
+
+    Parameters
+    ----------
+    model : Model
+    particles : Particles
+        At time 0.
+    velocity, spin : array_like, optional
+        (n, 2) or (2,) [m/s]; (n,) or scalar [1/s], counter-clockwise. At rest if not given.
+    ledger : bool
+        Keep books of energy and momentum (see `ledger`), at about twice the cost.
+
+    Raises
+    ------
+    InputError
+        Step too large for the contacts; discs that overlap, or stick in walls, by more than
+        `MOST_AT_START` (`relax` pushes them apart); values that are not finite.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        particles: Particles,
+        velocity: ArrayLike = (0.0, 0.0),
+        spin: ArrayLike = 0.0,
+        ledger: bool = False,
+    ) -> None:
+        n = len(particles)
+        self.model = model
+        self.step = 0
+        self.dt = _step_of(model, particles)
+        self.history: list[dict[str, float]] = []
+        self.seconds = {"steps": 0.0, "upkeep": 0.0}
+        self.upkeeps = self.sorted = 0
+        _refuse_overlap(model, particles)
+
+        radius, mass = particles.radius, particles.density * np.pi * particles.diameter**2 / 4.0
+        self._s, self._p = np.zeros((n, 12)), np.zeros((n, 6))
+        self._s[:, :2], self._s[:, R] = particles.x, radius
+        self._p[:, IM], self._p[:, IJ] = 1.0 / mass, 2.0 / mass  # I = m r²/2
+        for name, given, columns in (("velocity", velocity, (HX, HY)), ("spin", spin, (HS,))):
+            shape = (n, len(columns)) if name == "velocity" else (n,)
+            try:
+                value = np.broadcast_to(np.asarray(given, dtype=float), shape)
+            except ValueError:
+                raise InputError(f"{name} needs shape {shape}, got {np.shape(given)}") from None
+            bad = np.flatnonzero(~np.isfinite(value).reshape(n, -1).all(axis=1))
+            if len(bad):
+                raise InputError(f"particle {bad[0]}: {name} is not finite")
+            self._s[:, list(columns)] = value.reshape(n, -1)
+        self._s[:, HS] *= radius
+        self._s[:, [VX, VY, VS]] = self._s[:, [HX, HY, HS]]
+        self._slot = np.arange(n)  # the user's number of each disc
+        self._law = _law(model)
+        self._walls = table(model.all_walls, model.contact.friction)
+        self._moved = np.zeros((len(self._walls), 6))
+        motion.move_walls(self._walls, self._moved, 0.0)
+        self._books = np.zeros(9 if ledger else 0)
+        self._mesh = living(model.box, particles.x, radius)
+        empty = pairs.nothing(9 if ledger else 2 if model.contact.rolling > 0.0 else 1)
+        self._sort(empty, empty)
+        depth, who = self._deepest()
+        if depth > pairs.DEEPEST:
+            raise InputError(
+                f"{who} overlap by {100.0 * depth:.3g} % of the smallest radius: move them apart "
+                "(grainmesh.relax does)"
+            )
+        self._force_outside()
+        self._p[:, [OX, OY]] = self._p[:, [EX, EY]]
+        motion.forces(*self._state())
+        self._books[:] = 0.0
+        # The first step then starts with half a push, `motion` Eq. (2).
+        self._s[:, [HX, HY, HS]] -= 0.5 * self.dt * self._acceleration()
+
+    @property
+    def t(self) -> float:
+        """Time [s]."""
+        return self.step * self.dt
+
+    def __len__(self) -> int:
+        return len(self._s)
+
+    @property
+    def ids(self) -> Int:
+        """Numbers, at the start, of the particles that are still there, ascending (n,)."""
+        return np.sort(self._slot)
+
+    def _users(self, values: Float) -> Float:
+        """Values of discs in the user's order."""
+        ordered: Float = values[self._rank]
+        return ordered
+
+    @property
+    def x(self) -> Float:
+        """Centres [m], (n, 2), inside the box if it is periodic."""
+        return wrapped(self.model.box, self._users(self._s[:, :2]))
+
+    @property
+    def velocity(self) -> Float:
+        """Velocities [m/s], (n, 2)."""
+        return self._users(self._s[:, [HX, HY]] + 0.5 * self.dt * self._acceleration()[:, :2])
+
+    @property
+    def spin(self) -> Float:
+        """Angular velocities [1/s], counter-clockwise, (n,)."""
+        speed = self._s[:, HS] + 0.5 * self.dt * self._acceleration()[:, 2]
+        spin: Float = speed / self._s[:, R]
+        return self._users(spin)
+
+    @property
+    def particles(self) -> Particles:
+        """The particles where they are now."""
+        mass = self._users(1.0 / self._p[:, IM])
+        d = self._users(2.0 * self._s[:, R])
+        return Particles(self.x, d, mass / (np.pi * d**2 / 4.0))
+
+    @property
+    def contacts(self) -> Contacts:
+        """Contacts of discs with discs."""
+        return contacts_of_discs(self._s, self._pairs, self._law, self._slot)
+
+    @property
+    def wall_contacts(self) -> Contacts:
+        """Contacts of discs with walls."""
+        about = self._touch, self._walls, self._moved
+        return contacts_of_walls(self._s, *about, self._law, self._slot)
+
+    @property
+    def energies(self) -> dict[str, float]:
+        """Energies per unit depth [J/m]: kinetic, rotational, elastic, potential (from y = 0)."""
+        v = self._s[:, [HX, HY, HS]] + 0.5 * self.dt * self._acceleration()
+        about = self._pairs, self._touch, self._walls, self._moved
+        return energies(self._s, self._p, v, self._law, *about)
+
+    @property
+    def ledger(self) -> dict[str, float]:
+        """Work since the start [J/m]: lost to damping, sliding and rolling, done by walls and by
+
+        forces from outside; impulses of both [N s/m]. Empty unless asked for at the start.
+        """
+        return dict(zip(motion.LEDGER, map(float, self._books), strict=False))
+
+    def measure(self) -> dict[str, float]:
+        """Numbers of the present state: time, energies, contacts, height, upkeep."""
+        top = self._s[:, Y] + self._s[:, R]
+        return {
+            "t": self.t,
+            "step": float(self.step),
+            "particles": float(len(self)),
+            **self.energies,
+            "contacts": float(len(self.contacts)),
+            "height": float(top.max()),
+            "flips": float(self._mesh.flips),
+            **self.ledger,
+        }
+
+    def run(
+        self,
+        until: float,
+        every: float | None = None,
+        save: str | Path | None = None,
+        progress: bool = False,
+        observe: Callable[[Simulation], None] | None = None,
+    ) -> Simulation:
+        """Advance to a time.
+
+        Parameters
+        ----------
+        until : float
+            Time to reach [s]; the last step may pass it by less than a step.
+        every : float, optional
+            Interval [s] at which `measure` is added to `history`, `observe` is called and, if
+            `save` is given, the state is written; else only at the end.
+        save : path, optional
+            Folder for ``checkpoint.h5``, from which `resume` goes on.
+        progress : bool
+            Show time, step and the time still needed on stderr.
+        observe : callable, optional
+            Called with this simulation.
+
+        Returns
+        -------
+        Simulation
+            Itself.
+
+        Raises
+        ------
+        InputError
+            If a time is not finite or not positive.
+        RunError
+            If a number becomes infinite or undefined, discs overlap too much to be found, or a
+            particle leaves where it must not. The state is then the last good one, which is saved.
+        """
+        for name, value in (("until", until), ("every", every)):
+            if value is not None and not (isfinite(value) and value > 0.0):
+                raise InputError(f"run: {name} = {value:g} s must be positive")
+        last = ceil(until / self.dt - 1e-6)
+        mark = max(1, round(every / self.dt)) if every else max(last, 1)
+        with bar(progress, self.step, last, self.dt) as tell:
+            try:
+                while self.step < last:
+                    self._advance(min(last, (self.step // mark + 1) * mark) - self.step, tell)
+                    if self.step % mark == 0 or self.step == last:
+                        self.history.append(self.measure())
+                        if observe:
+                            observe(self)
+                        if save:
+                            self.save(save)
+            except RunError:
+                if save:
+                    self.save(save)
+                raise
+        return self
+
+    def save(self, folder: str | Path) -> Path:
+        """Write the state to ``checkpoint.h5`` in a folder, see `checkpoint.write`."""
+        numbers = {name: getattr(self, name) for name in NUMBERS}
+        arrays = {f"state/{name}": getattr(self, "_" + name) for name in STATE}
+        for name, near in (("pairs", self._pairs), ("touch", self._touch)):
+            arrays |= {f"{name}/{key}": value for key, value in near._asdict().items()}
+        mesh = vars(self._mesh)
+        arrays |= {f"mesh/{key}": mesh[key] for key in mesh if isinstance(mesh[key], np.ndarray)}
+        numbers["mesh"] = {key: mesh[key] for key in mesh if isinstance(mesh[key], int)}
+        return checkpoint.write(folder, self.model, numbers | {"skin": self._skin}, arrays)
+
+    def _advance(self, steps: int, tell: Callable[[int], None]) -> None:
+        end = self.step + steps
+        pushed = callable(self.model.force)
+        while self.step < end:
+            good = self._copy()
+            began = perf_counter()
+            done, why = motion.advance(
+                *self._state(), self._seen, -1.0 if pushed else self._skin, self.step,
+                1 if pushed else min(end - self.step, CHUNK),
+            )  # fmt: skip
+            self.step += done
+            self.seconds["steps"] += perf_counter() - began
+            try:
+                if why == motion.BROKEN:
+                    self._blame()
+                if why == motion.STALE:
+                    if motion.farthest(self._s, self._moved, self._seen) > self._skin:
+                        self._upkeep()
+                    if pushed:
+                        self._force_outside()
+                    motion.forces(*self._state())
+            except RunError:
+                self._restore(good)
+                raise
+            tell(self.step)
+
+    def _state(self) -> tuple[Any, ...]:
+        """What `motion.forces` works on."""
+        return (
+            self._s, self._p, self._law, self._pairs, self._touch, self._walls, self._moved,
+            self._pairs.offset if self.model.box.periodic else None,
+            self.model.contact.rolling or None,
+            self._books if len(self._books) else None,
+            self.dt,
+        )  # fmt: skip
+
+    def _acceleration(self) -> Float:
+        """Accelerations [m/s2], (n, 3), the third that of the surface by spin."""
+        a = self._s[:, [FX, FY, T]] * self._p[:, [IM, IM, IJ]]
+        a[:, :2] += self.model.gravity
+        return a
+
+    def _force_outside(self) -> None:
+        """Force from outside at the present places."""
+        force = self.model.force
+        if force is None:
+            return
+        given = (
+            force(self.t, self.x, self._users(self._s[:, [VX, VY]])) if callable(force) else force
+        )
+        try:
+            value = np.broadcast_to(np.asarray(given, dtype=float), (len(self), 2))
+        except ValueError:
+            raise InputError(
+                f"model: force needs shape ({len(self)}, 2), got {np.shape(given)}"
+            ) from None
+        bad = np.flatnonzero(~np.isfinite(value).all(axis=1))
+        if len(bad):
+            raise RunError(
+                f"the force from outside on particle {self.ids[bad[0]]} is not finite at t = "
+                f"{self.t:g} s"
+            )
+        self._p[np.ix_(self._rank, [EX, EY])] = value
+
+    def _copy(self) -> tuple[Any, ...]:
+        return (
+            self.step, self._s.copy(), self._p.copy(), self._moved.copy(), self._books.copy(),
+            self._pairs, self._pairs.history.copy(), self._touch, self._touch.history.copy(),
+            self._slot, self._rank, self._seen, self._skin,
+        )  # fmt: skip
+
+    def _restore(self, good: tuple[Any, ...]) -> None:
+        (
+            self.step, self._s, self._p, self._moved, self._books,
+            links, springs, touch, more, self._slot, self._rank, self._seen,
+            self._skin,
+        ) = good  # fmt: skip
+        self._pairs, self._touch = links._replace(history=springs), touch._replace(history=more)
+        self._mesh.renew(self._s[:, :2])
+
+    def _blame(self) -> None:
+        """Say which particle broke."""
+        i = int(np.flatnonzero(~np.isfinite(self._s).all(axis=1))[0])
+        raise RunError(
+            f"the motion of particle {self._slot[i]} is not finite at t = {self.t:g} s: the forces "
+            "on it have blown up"
+        )
+
+    def _upkeep(self) -> None:
+        """Triangulation and lists for the present places."""
+        began = perf_counter()
+        self._mesh.follow(self._s[:, :2])
+        discs, walls = pairs.memory(self._pairs), pairs.memory(self._touch)
+        stay = self._stay()
+        if stay is not None:
+            new = (np.cumsum(stay) - 1).astype(np.int32)
+            new[~stay] = -1
+            discs, walls = (
+                pairs.renumbered(discs, new, True, (QR, FR)),
+                pairs.renumbered(walls, new, False, ()),
+            )
+            self._s, self._p, self._slot = self._s[stay], self._p[stay], self._slot[stay]
+            self._rank = np.argsort(self._slot)
+            if len(self) == 0:
+                raise RunError(f"the last particle left the box at t = {self.t:g} s")
+            self._mesh.drop(stay)
+        if self._mesh.flips - self.sorted > len(self):
+            self._sort(discs, walls)
+        else:
+            self._renew_lists(discs, walls)
+        depth, who = self._deepest()
+        if depth > pairs.DEEPEST:
+            raise RunError(
+                f"{who} overlap by {100 * depth:.3g} % of the smallest radius at t = {self.t:g} s, "
+                f"at most {100 * pairs.DEEPEST:g} % can be followed: raise the stiffness"
+            )
+        self.upkeeps += 1
+        self.seconds["upkeep"] += perf_counter() - began
+
+    def _stay(self) -> NDArray[np.bool_] | None:
+        """Which discs stay, (n,), None for all: one may leave through an open side, no other."""
+        box, opened = self.model.box, self.model.open
+        if box.periodic:
+            return None
+        limits = np.array([[-np.inf, -np.inf], [np.inf, np.inf]])
+        for side in opened:
+            number = SIDES.index(side)
+            limits[number % 2, number // 2] = box.size[number // 2] if number % 2 else 0.0
+        stay = None
+        left = motion.outside(self._s, *limits)
+        if left >= 0:
+            if self.model.escape == "error":
+                raise RunError(
+                    f"particle {self._slot[left]} left the box through an open side "
+                    f"({', '.join(opened)}) at t = {self.t:g} s: enlarge the box, or say "
+                    "escape='remove'"
+                )
+            x, r = self._s[:, :2], self._s[:, R, None]
+            stay = ((x + r >= limits[0]) & (x - r <= limits[1])).all(axis=1)
+        through, wall = motion.beyond(self._s, self._walls, self._moved)
+        if through >= 0:
+            raise RunError(
+                f"particle {self._slot[through]} was pushed through the "
+                f"{self.model.all_walls[wall].side} wall at t = {self.t:g} s: raise the stiffness"
+            )
+        return stay
+
+    def _sort(self, discs: Memory, walls: Memory) -> None:
+        """Number the discs in strips, so that neighbours lie near each other in memory."""
+        strip = np.floor(self._s[:, Y] / (4.0 * self._s[:, R].mean()))
+        order = np.lexsort((self._s[:, X], strip))
+        new = np.empty(len(order), np.int32)
+        new[order] = np.arange(len(order))
+        self._s, self._p, self._slot = self._s[order], self._p[order], self._slot[order]
+        self._rank = np.argsort(self._slot)
+        self._mesh.renumber(new)
+        self.sorted = self._mesh.flips
+        self._renew_lists(
+            pairs.renumbered(discs, new, True, (QR, FR)), pairs.renumbered(walls, new, False, ())
+        )
+
+    def _renew_lists(self, discs: Memory, walls: Memory) -> None:
+        """Near discs and walls, with the history of those that were near before."""
+        radius, mass = np.ascontiguousarray(self._s[:, R]), 1.0 / self._p[:, IM]
+        fastest = float(np.sqrt((self._s[:, HX] ** 2 + self._s[:, HY] ** 2).max()))
+        fastest = max([fastest, *(wall.speed for wall in self.model.all_walls)])
+        skin = np.clip(
+            2.0 * LASTS * fastest * self.dt, THINNEST * radius.min(), pairs.SKIN * radius.min()
+        )
+        about = self._mesh, radius, mass, self.model.contact, float(skin)
+        self._pairs = pairs.near_discs(*about, discs)
+        self._touch = pairs.near_walls(*about, walls, self._walls, self._moved)
+        self._seen, self._skin = np.vstack([self._s[:, :2], self._moved[:, :2]]), float(skin)
+
+    def _deepest(self) -> tuple[float, str]:
+        """Largest overlap in smallest radii, and whose it is."""
+        least = float(self._s[:, R].min())
+        o = overlaps(self._s, self._pairs)[0]
+        depth = wall_overlaps(self._s, self._touch, self._walls, self._moved)[0]
+        worst, who = 0.0, ""
+        if len(o) and o.max() > worst:
+            e = int(np.argmax(o))
+            i, j = self._slot[self._pairs.owner[e]], self._slot[self._pairs.other[e]]
+            worst, who = float(o[e]), f"particles {min(i, j)} and {max(i, j)}"
+        if len(depth) and depth.max() > worst:
+            e = int(np.argmax(depth))
+            i, wall = self._slot[self._touch.owner[e]], self._touch.other[e]
+            name = self.model.all_walls[wall].side
+            worst = float(depth[e])
+            who = f"particle {i} and " + (f"the {name} wall" if name else f"wall {wall}")
+        return worst / least, who
+
+
+def resume(folder: str | Path, force: Force | None = None) -> Simulation:
+    """The simulation saved in a folder; it goes on as if it had not been stopped, bit by bit.
+
+    Parameters
+    ----------
+    folder : path
+        That was given as ``save`` to `Simulation.run`.
+    force : callable, optional
+        The force of the model again, if it was a function.
+
+    Raises
+    ------
+    InputError
+        If there is no checkpoint, it is damaged, or the function is missing.
+    """
+    model, numbers, arrays = checkpoint.read(folder)
+    if (model.force == checkpoint.FUNCTION) != (force is not None):
+        what = (
+            "give the force of the model again, it was a function"
+            if force is None
+            else ("the force of the model is no function, drop force=")
+        )
+        raise InputError(f"{folder}: {what}")
+    simulation = Simulation.__new__(Simulation)
+    try:
+        simulation.model = model if force is None else replace(model, force=force)
+        simulation.seconds = {"steps": 0.0, "upkeep": 0.0}
+        for name in NUMBERS:
+            setattr(simulation, name, numbers[name])
+        for name in STATE:
+            setattr(simulation, "_" + name, arrays[f"state/{name}"])
+        simulation._skin = numbers["skin"]
+        for name in ("pairs", "touch"):
+            fields = {key: arrays[f"{name}/{key}"] for key in Near._fields}
+            setattr(simulation, "_" + name, Near(**fields))
+        parts: dict[str, Any] = {
+            key[5:]: array for key, array in arrays.items() if key.startswith("mesh/")
+        }
+        simulation._mesh = Living(box=model.box, **parts, **numbers["mesh"])
+        simulation._walls = table(model.all_walls, model.contact.friction)
+        simulation._law = _law(model)
+    except (KeyError, TypeError) as fault:
+        raise InputError(f"{folder}: the checkpoint is incomplete ({fault})") from None
+    return simulation
+
+
+def _law(model: Model) -> Float:
+    """Numbers of the contact law and gravity as `motion.advance` takes them."""
+    c = model.contact
+    springs = c.stiffness, c.tangential * c.stiffness, c.tangential_damping
+    return np.array([*springs, c.friction, *model.gravity])
+
+
+def _step_of(model: Model, particles: Particles) -> float:
+    """Step of a model [s], refused if too large for the lightest pair or overdamped ones."""
+    mass = np.sort(particles.density * np.pi * particles.diameter**2 / 4.0)
+    pair = mass[0] * mass[min(1, len(mass) - 1)] / (mass[0] + mass[min(1, len(mass) - 1)])
+    model.contact.contact_time(mass[-1])  # the heaviest, on a wall, is damped most
+    shortest = model.contact.contact_time(pair)
+    if model.dt is None:
+        return shortest / STEPS
+    if model.dt > shortest / FEWEST_STEPS:
+        raise InputError(
+            f"model: dt = {model.dt:g} s is too large for contacts that last {shortest:.3g} s: at "
+            f"most {shortest / FEWEST_STEPS:.3g} s, better {shortest / STEPS:.3g} s"
+        )
+    return model.dt
+
+
+def _refuse_overlap(model: Model, particles: Particles) -> None:
+    """Raise if discs overlap by more than `MOST_AT_START`."""
+    r = particles.radius
+    found = close_pairs(model.box, particles, 0.0)
+    if (found[:, 0] == found[:, 1]).any():
+        raise InputError("the box is too small: a particle touches its own periodic image")
+    i, j = found.T
+    distance = np.hypot(*model.box.separation(particles.x[i], particles.x[j]).T)
+    share = (r[i] + r[j] - distance) / np.minimum(r[i], r[j])
+    worst = int(np.argmax(share)) if len(share) else 0
+    if len(share) and share[worst] > MOST_AT_START:
+        raise InputError(
+            f"particles {i[worst]} and {j[worst]} overlap by {100 * share[worst]:.3g} % of the "
+            f"smaller radius, {100 * MOST_AT_START:g} % is taken at the start: move them apart "
+            "(grainmesh.relax does)"
+        )
+
+
+__all__ = ["Simulation", "resume"]
