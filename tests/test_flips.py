@@ -362,6 +362,16 @@ def test_what_flips_cannot_mend_is_not_ok():
         assert inverted > 0
         assert not ok
         fits_together(mesh)
+    # One triangle alone, turned over: no edge could be flipped.
+    points, weight, period = (
+        np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]),
+        np.zeros(3),
+        np.zeros(2),
+    )
+    alone = np.arange(3, dtype=np.int32)[None], np.full((1, 3), -1, np.int32)
+    shifts = np.zeros((1, 3, 2), np.int32)
+    assert repair(points, weight, period, *alone, shifts) == (0, 0, True)
+    assert repair(points[::-1].copy(), weight, period, *alone, shifts) == (0, 1, False)
     # All points at random elsewhere: as good as hopeless, but it ends.
     mesh = a_case(200, 1, True, 1.0)
     mesh.points = np.random.default_rng(0).uniform(0, 1, mesh.points.shape) * mesh.box.size
