@@ -14,14 +14,17 @@ damped oscillation, hence (e: restitution, t_c: contact time)
 
     β = -ln e / sqrt(π² + ln² e),   c = 2 β sqrt(k m),   t_c = π / sqrt((1 - β²) k/m).        (4)
 
-A contact begins and ends inside a step. Taken as if it did so at its end, energy errs by up to
-(Δt/t_c) per collision. So let θ be the share of the step spent in contact, at the first and at the
-last step of a contact, else 1; then k δ is weighted with
+A contact begins and ends inside a step, and leapfrog (`motion`, Eq. 1) sees it at the ends of the
+step only. While discs touch it keeps m v²/2 + k δ δ'/2 exactly, v = (δ' - δ)/Δt being the approach
+speed over a step and δ, δ' the overlaps at its ends. In the step in which a contact begins or ends
+one of them is a gap, and what is kept is not m v²/2, the energy outside. So v is corrected: as the
+contact begins with δ', to the v₊ that will keep it, and as it ends, to v₋ that had been kept,
 
-    (θ_in + θ_out)/2 - h [θ_in (1 - θ_in²) + θ_out (1 - θ_out²)]/8,    h = k Δt²/m             (5)
+    v₊² + k δ' (δ' - v₊ Δt)/m = v²,      v₋² = v² + k δ δ'/m,                                   (5)
 
-which keeps the energy of leapfrog in an elastic collision to O(h³), and c v_n with the time it
-covers. The law is then of second order in Δt.
+after which elastic collisions keep the energy to round-off. With θ the share of that step spent in
+contact, the damping force acts 1/2 + θ steps at the first instant in contact, and θ - 1/2 steps at
+the first instant out of it. The law is then of second order in Δt for all θ.
 """
 
 from __future__ import annotations
@@ -135,7 +138,7 @@ class Contact:
 
 @njit(cache=True, forceinline=True)
 def bond(o, un, vn, ut, vt, ur, vr, k, kt, c, ct, mass, mu, mur, q, qr, dt):  # type: ignore[no-untyped-def]
-    """Forces of a contact with overlap `o`, Eqs. (1) to (3).
+    """Forces of a contact with overlap `o`, Eqs. (1) to (3), (5).
 
     Speeds of approach (n), sliding (t) and rolling (r) are `u` over the step that ends now and `v`
     now; `q` and `qr` are the springs a step ago.
@@ -146,32 +149,27 @@ def bond(o, un, vn, ut, vt, ur, vr, k, kt, c, ct, mass, mu, mur, q, qr, dt):  # 
         Normal force and the part of its dashpot; sliding force and the part of its spring; rolling
         force; springs now.
     """
-    we = wd = share = 1.0
-    if o < 2.0 * abs(vn) * dt:
-        we, wd, share = shares(o, un, vn, k, c, mass, dt)
+    if o <= 0.0:
+        before = o - un * dt
+        if before <= 0.0:
+            return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        fd = (-before / (un * dt) - 0.5) * c * un
+        fn = mass / dt * (un + sqrt(un * un + k / mass * before * o)) + fd
+        return fn, fd, 0.0, 0.0, 0.0, 0.0, 0.0
+    fe, we, wd, share = k * o, 1.0, 1.0, 1.0
+    if o < un * dt:
+        half = 0.5 * k / mass * o * dt
+        fe -= mass / dt * (half + sqrt(half * half + un * un - k / mass * o * o) - un)
+        share = o / (un * dt)
+        we, wd = 0.5 + 0.5 * share, 0.5 + share
     fd, ct = wd * c * vn, wd * ct
-    fn = we * k * o + fd
+    fn = fe + fd
     most = max(fn, 0.0)
     ft, q = slide(q, vt, ut * share, we * kt, ct, mu * most, dt)
     fr = 0.0
     if mur > 0.0:
         fr, qr = slide(qr, vr, ur * share, we * kt, ct, mur * most, dt)
     return fn, fd, ft, ft - ct * vt, fr, q, qr
-
-
-@njit(cache=True)
-def shares(o, un, vn, k, c, mass, dt):  # type: ignore[no-untyped-def]
-    """Weights of the elastic and the damping force, Eq. (5), and the share of the step before."""
-    start = end = 1.0
-    before = after = 0.5
-    if o < un * dt:
-        start = before = o / (un * dt)
-    ahead = un - dt * (k * o + c * vn) / mass  # approach speed over the step that comes
-    if o < -ahead * dt:
-        end = after = -o / (ahead * dt)
-    h = k * dt * dt / mass
-    bend = start * (1.0 - start * start) + end * (1.0 - end * end)
-    return 0.5 * (start + end) - 0.125 * h * bend, before + after, start
 
 
 @njit(cache=True, forceinline=True)

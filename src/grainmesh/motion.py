@@ -82,10 +82,7 @@ def advance(  # type: ignore[no-untyped-def]
         new lists (then call `forces`); `BROKEN`: a force was not finite, the state is lost.
     """
     n = len(s)
-    room, fastest = -1.0, 0.0
-    for w in range(len(walls)):
-        u, a = walls[w, UX : UY + 1], walls[w, SX : SY + 1]
-        fastest = max(fastest, np.hypot(u[0], u[1]) + walls[w, OMEGA] * np.hypot(a[0], a[1]))
+    room, fastest = -1.0, speed_of(walls)
     for step in range(first, first + steps):
         top, probe = 0.0, 0.0
         for i in range(n):
@@ -108,13 +105,14 @@ def advance(  # type: ignore[no-untyped-def]
             return step - first, BROKEN
         if fastest > 0.0:
             move_walls(walls, moved, (step + 1) * dt)
-        room -= (2.0 * sqrt(top) + fastest) * dt
+        lead = (2.0 * sqrt(top) + fastest) * dt  # most by which two can have come apart in the step
+        room -= lead
         if room < 0.0:
             room = skin - farthest(s, moved, seen)
             if room < 0.0:
                 return step + 1 - first, STALE
-        _pair_forces(s, law, pairs, offset, rolling, ledger, dt)
-        _wall_forces(s, law, touch, walls, moved, rolling, ledger, dt)
+        _pair_forces(s, law, pairs, offset, rolling, ledger, dt, lead)
+        _wall_forces(s, law, touch, walls, moved, rolling, ledger, dt, lead)
         if ledger is not None:
             _work_outside(s, p, ledger, dt)
     return steps, DONE
@@ -123,10 +121,13 @@ def advance(  # type: ignore[no-untyped-def]
 @njit(cache=True)
 def forces(s, p, law, pairs, touch, walls, moved, offset, rolling, ledger, dt):  # type: ignore[no-untyped-def]
     """Forces at the present places, with the work since the last step; arguments as `advance`."""
+    top = 0.0
     for i in range(len(s)):
         s[i, FX], s[i, FY], s[i, T] = p[i, EX], p[i, EY], 0.0
-    _pair_forces(s, law, pairs, offset, rolling, ledger, dt)
-    _wall_forces(s, law, touch, walls, moved, rolling, ledger, dt)
+        top = max(top, s[i, HX] ** 2 + s[i, HY] ** 2)
+    lead = (2.0 * sqrt(top) + speed_of(walls)) * dt
+    _pair_forces(s, law, pairs, offset, rolling, ledger, dt, lead)
+    _wall_forces(s, law, touch, walls, moved, rolling, ledger, dt, lead)
     if ledger is not None:
         _work_outside(s, p, ledger, dt)
 
@@ -146,6 +147,16 @@ def farthest(s, moved, seen):  # type: ignore[no-untyped-def]
         way = (moved[w, 0] - seen[n + w, 0]) ** 2 + (moved[w, 1] - seen[n + w, 1]) ** 2
         walls = max(walls, way)
     return sqrt(far) + sqrt(max(second, walls))
+
+
+@njit(cache=True)
+def speed_of(walls):  # type: ignore[no-untyped-def]
+    """Greatest speed of the walls [m/s]."""
+    top = 0.0
+    for w in range(len(walls)):
+        swing = walls[w, OMEGA] * np.hypot(walls[w, SX], walls[w, SY])
+        top = max(top, np.hypot(walls[w, UX], walls[w, UY]) + swing)
+    return top
 
 
 @njit(cache=True)
@@ -183,7 +194,7 @@ def move_walls(walls, moved, time):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _pair_forces(s, law, near, offset, rolling, ledger, dt):  # type: ignore[no-untyped-def]
+def _pair_forces(s, law, near, offset, rolling, ledger, dt, lead):  # type: ignore[no-untyped-def]
     start, other, damping, mass, old = near.start, near.other, near.damping, near.mass, near.history
     k, kt, ratio, mu = law[0], law[1], law[2], law[3]
     for i in range(len(s)):
@@ -196,7 +207,7 @@ def _pair_forces(s, law, near, offset, rolling, ledger, dt):  # type: ignore[no-
                 dx, dy = dx + offset[e, 0], dy + offset[e, 1]
             reach = r + s[j, R]
             dd = dx * dx + dy * dy
-            if ledger is None and dd >= reach * reach:
+            if ledger is None and dd >= (reach + lead) ** 2:
                 old[e, Q] = 0.0
                 if rolling is not None:
                     old[e, QR] = 0.0
@@ -215,15 +226,11 @@ def _pair_forces(s, law, near, offset, rolling, ledger, dt):  # type: ignore[no-
                 a, qr = r * s[j, R] / reach, old[e, QR]
                 ur = a * (s[i, HS] / r - s[j, HS] / s[j, R])
                 vr = a * (s[i, VS] / r - s[j, VS] / s[j, R])
-            fn = fd = ft = fs = fr = q = 0.0
-            if o > 0.0:
-                c = damping[e]
-                fn, fd, ft, fs, fr, q, qr = bond(
-                    o, un, vn, ut, vt, ur, vr, k, kt, c, ratio * c, mass[e], mu, mur,
-                    old[e, Q], qr, dt,
-                )  # fmt: skip
-            else:
-                qr = 0.0
+            c = damping[e]
+            fn, fd, ft, fs, fr, q, qr = bond(
+                o, un, vn, ut, vt, ur, vr, k, kt, c, ratio * c, mass[e], mu, mur,
+                old[e, Q], qr, dt,
+            )  # fmt: skip
             if ledger is not None:
                 _book(old[e], o, fd, ft - fs, fs, fr, q, qr, ut * dt, ur * dt, kt, ledger)
             old[e, Q] = q
@@ -244,7 +251,7 @@ def _pair_forces(s, law, near, offset, rolling, ledger, dt):  # type: ignore[no-
 
 
 @njit(cache=True)
-def _wall_forces(s, law, near, walls, moved, rolling, ledger, dt):  # type: ignore[no-untyped-def]
+def _wall_forces(s, law, near, walls, moved, rolling, ledger, dt, lead):  # type: ignore[no-untyped-def]
     start, damping, mass, old = near.start, near.damping, near.mass, near.history
     k, kt, ratio = law[0], law[1], law[2]
     for i in range(len(s)):
@@ -253,7 +260,7 @@ def _wall_forces(s, law, near, walls, moved, rolling, ledger, dt):  # type: igno
             o, nx, ny, at_end = to_wall(s, i, near, e, walls, moved)
             if at_end and o > 0.0 and held(s, i, near, e, o, walls, moved):
                 o = 0.0
-            if ledger is None and o <= 0.0:
+            if ledger is None and o <= -lead:
                 old[e, Q] = 0.0
                 if rolling is not None:
                     old[e, QR] = 0.0
@@ -264,15 +271,13 @@ def _wall_forces(s, law, near, walls, moved, rolling, ledger, dt):  # type: igno
             un, vn = hx * nx + hy * ny, vx * nx + vy * ny
             ut, vt = hy * nx - hx * ny + s[i, HS], vy * nx - vx * ny + s[i, VS]
             qr = mur = 0.0
-            if rolling is not None and o > 0.0:
+            if rolling is not None:
                 mur, qr = rolling, old[e, QR]
-            fn = fd = ft = fs = fr = q = 0.0
-            if o > 0.0:
-                c, mu = damping[e], walls[w, FRICTION]
-                fn, fd, ft, fs, fr, q, qr = bond(
-                    o, un, vn, ut, vt, s[i, HS], s[i, VS], k, kt, c, ratio * c, mass[e], mu, mur,
-                    old[e, Q], qr, dt,
-                )  # fmt: skip
+            c, mu = damping[e], walls[w, FRICTION]
+            fn, fd, ft, fs, fr, q, qr = bond(
+                o, un, vn, ut, vt, s[i, HS], s[i, VS], k, kt, c, ratio * c, mass[e], mu, mur,
+                old[e, Q], qr, dt,
+            )  # fmt: skip
             px, py = ft * ny - fn * nx, -fn * ny - ft * nx
             if ledger is not None:
                 _book(old[e], o, fd, ft - fs, fs, fr, q, qr, ut * dt, s[i, HS] * dt, kt, ledger)

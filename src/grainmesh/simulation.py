@@ -467,7 +467,7 @@ class Simulation:
         """Near discs and walls, with the history of those that were near before."""
         radius, mass = np.ascontiguousarray(self._s[:, R]), 1.0 / self._p[:, IM]
         fastest = float(np.sqrt((self._s[:, HX] ** 2 + self._s[:, HY] ** 2).max()))
-        fastest = max([fastest, *(wall.speed for wall in self.model.all_walls)])
+        fastest = max(fastest, motion.speed_of(self._walls))
         skin = np.clip(
             2.0 * LASTS * fastest * self.dt, THINNEST * radius.min(), pairs.SKIN * radius.min()
         )

@@ -89,13 +89,6 @@ class Wall:
         }[side]
         return cls(start, end, velocity, amplitude, frequency, friction, side)
 
-    @property
-    def speed(self) -> float:
-        """Greatest speed [m/s]."""
-        return float(np.hypot(*self.velocity)) + 2.0 * pi * self.frequency * float(
-            np.hypot(*self.amplitude)
-        )
-
 
 def table(walls: tuple[Wall, ...], friction: float) -> Float:
     """Walls as rows of numbers, (w, 11): see the columns above."""
