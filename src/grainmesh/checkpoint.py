@@ -1,8 +1,8 @@
 """A simulation in a file, whole: what goes on from it equals what would have gone on, bit by bit.
 
-The file is HDF5, written under another name and then renamed, each array with a checksum. It holds
-numbers and the text of the model, nothing that could be executed; a force that is a function must
-be given again.
+The file is HDF5, written under another name and then renamed, with a checksum over all of it. It
+holds numbers and the text of the model, nothing that could be executed; a force that is a function
+must be given again.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 from dataclasses import asdict
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -54,11 +55,11 @@ def write(folder: str | Path, model: Model, numbers: dict[str, Any], arrays: Arr
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with h5py.File(new, "w") as file:
-            file.attrs["format"] = FORMAT
-            file["model"] = json.dumps(_fields(model) | {"force": force})
-            file["numbers"] = json.dumps(numbers)
+            texts = json.dumps(_fields(model) | {"force": force}), json.dumps(numbers)
+            file.attrs["format"], file.attrs["sha256"] = FORMAT, _digest(texts, arrays)
+            file["model"], file["numbers"] = texts
             for name, array in arrays.items():
-                file.create_dataset(name, data=array, fletcher32=array.size > 0 or None)
+                file[name] = array
         os.replace(new, path)
     except OSError as fault:
         new.unlink(missing_ok=True)
@@ -81,8 +82,8 @@ def read(folder: str | Path) -> tuple[Model, dict[str, Any], Arrays]:
         with h5py.File(path, "r") as file:
             if file.attrs["format"] != FORMAT:
                 raise ValueError("unknown format")
-            fields = json.loads(file["model"][()])
-            numbers = json.loads(file["numbers"][()])
+            texts = file["model"].asstr()[()], file["numbers"].asstr()[()]
+            fields, numbers = map(json.loads, texts)
             arrays: Arrays = {}
             file.visititems(
                 lambda name, item: (
@@ -91,12 +92,23 @@ def read(folder: str | Path) -> tuple[Model, dict[str, Any], Arrays]:
                     else None
                 )
             )
+            if file.attrs["sha256"] != _digest(texts, arrays):
+                raise ValueError("its checksum differs")
         fields["box"] = Box(**fields["box"])
         fields["contact"] = Contact(**fields["contact"])
         fields["walls"] = tuple(Wall(**wall) for wall in fields["walls"])
         return Model(**fields), numbers, arrays
     except (OSError, KeyError, TypeError, ValueError, RuntimeError) as fault:
         raise InputError(f"{path}: damaged or not a checkpoint ({fault})") from None
+
+
+def _digest(texts: tuple[str, str], arrays: Arrays) -> str:
+    """SHA-256 over all that is kept."""
+    digest = sha256("".join(texts).encode())
+    for name in sorted(arrays):
+        digest.update(f"{name} {arrays[name].dtype} {arrays[name].shape}".encode())
+        digest.update(np.ascontiguousarray(arrays[name]).tobytes())
+    return digest.hexdigest()
 
 
 def _fields(model: Model) -> dict[str, Any]:

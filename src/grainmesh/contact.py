@@ -44,6 +44,11 @@ Float = NDArray[np.float64]
 STEPS, FEWEST_STEPS = 50, 20
 
 
+def below(value: float) -> str:
+    """A number of three digits that is not above a value, for advice that may be followed."""
+    return f"{0.995 * value:.3g}"
+
+
 @dataclass(frozen=True)
 class Contact:
     """Parameters of the contact law, the same for all contacts.
@@ -119,8 +124,8 @@ class Contact:
         if ratio >= 1.0:
             most = 2.0 * sqrt(self.stiffness / mass)
             raise InputError(
-                f"contact: damping {self.damping:g} 1/s is overdamped, below {most:.3g} 1/s is "
-                "needed for the heaviest pair"
+                f"contact: damping {self.damping:g} 1/s is too strong, the heaviest pair would not "
+                f"separate: at most {below(most)} 1/s"
             )
         return pi / sqrt((1.0 - ratio**2) * self.stiffness / mass)
 
@@ -149,6 +154,21 @@ def bond(o, un, vn, ut, vt, ur, vr, k, kt, c, ct, mass, mu, mur, q, qr, dt):  # 
         Normal force and the part of its dashpot; sliding force and the part of its spring; rolling
         force; springs now.
     """
+    if o <= 0.0 or o < un * dt:
+        return _begin_or_end(o, un, vn, ut, vt, ur, vr, k, kt, c, ct, mass, mu, mur, q, qr, dt)
+    fd = c * vn
+    fn = k * o + fd
+    most = max(fn, 0.0)
+    ft, q = slide(q, vt, ut, kt, ct, mu * most, dt)
+    fr = 0.0
+    if mur > 0.0:
+        fr, qr = slide(qr, vr, ur, kt, ct, mur * most, dt)
+    return fn, fd, ft, ft - ct * vt, fr, q, qr
+
+
+@njit(cache=True)
+def _begin_or_end(o, un, vn, ut, vt, ur, vr, k, kt, c, ct, mass, mu, mur, q, qr, dt):  # type: ignore[no-untyped-def]
+    """`bond` in the step in which a contact begins or ends, Eq. (5); zeros if there is none."""
     if o <= 0.0:
         before = o - un * dt
         if before <= 0.0:
@@ -156,19 +176,17 @@ def bond(o, un, vn, ut, vt, ur, vr, k, kt, c, ct, mass, mu, mur, q, qr, dt):  # 
         fd = (-before / (un * dt) - 0.5) * c * un
         fn = mass / dt * (un + sqrt(un * un + k / mass * before * o)) + fd
         return fn, fd, 0.0, 0.0, 0.0, 0.0, 0.0
-    fe, we, wd, share = k * o, 1.0, 1.0, 1.0
-    if o < un * dt:
-        half = 0.5 * k / mass * o * dt
-        fe -= mass / dt * (half + sqrt(half * half + un * un - k / mass * o * o) - un)
-        share = o / (un * dt)
-        we, wd = 0.5 + 0.5 * share, 0.5 + share
-    fd, ct = wd * c * vn, wd * ct
+    share = o / (un * dt)
+    half = 0.5 * k / mass * o * dt
+    fe = k * o - mass / dt * (half + sqrt(half * half + un * un - k / mass * o * o) - un)
+    kt, c, ct = (0.5 + 0.5 * share) * kt, (0.5 + share) * c, (0.5 + share) * ct
+    fd = c * vn
     fn = fe + fd
     most = max(fn, 0.0)
-    ft, q = slide(q, vt, ut * share, we * kt, ct, mu * most, dt)
+    ft, q = slide(q, vt, share * ut, kt, ct, mu * most, dt)
     fr = 0.0
     if mur > 0.0:
-        fr, qr = slide(qr, vr, ur * share, we * kt, ct, mur * most, dt)
+        fr, qr = slide(qr, vr, share * ur, kt, ct, mur * most, dt)
     return fn, fd, ft, ft - ct * vt, fr, q, qr
 
 
@@ -183,4 +201,4 @@ def slide(q, vt, ut, k, c, most, dt):  # type: ignore[no-untyped-def]
     return f, q
 
 
-__all__ = ["FEWEST_STEPS", "STEPS", "Contact", "bond"]
+__all__ = ["FEWEST_STEPS", "STEPS", "Contact", "below", "bond"]

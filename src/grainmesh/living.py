@@ -51,6 +51,9 @@ class Living:
     def follow(self, x: Float) -> None:
         """Take the power triangulation of the particles where they are now, (n, 2) [m]."""
         self.points[: len(x)] = x
+        if not self.box.periodic and not self._holds(x):
+            self.renew(x)
+            return
         flips, inverted, fits = repair(
             self.points, self.weight, self.period, self.triangles, self.neighbours, self.shifts
         )
@@ -58,6 +61,13 @@ class Living:
         self.inverted += inverted
         if not fits:
             self.renew(x)
+
+    def _holds(self, x: Float) -> bool:
+        """Whether all centres are more than a radius away from the nodes around them."""
+        rim = self.points[len(x) :]
+        room = np.sqrt(self.weight.max())
+        inside = x.min(axis=0) - rim.min(axis=0), rim.max(axis=0) - x.max(axis=0)
+        return bool(min(inside[0].min(), inside[1].min()) > room)
 
     def renew(self, x: Float) -> None:
         """The same, made from nothing."""

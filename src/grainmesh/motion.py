@@ -45,7 +45,7 @@ DONE, STALE, BROKEN = range(3)
 
 @njit(cache=True)
 def advance(  # type: ignore[no-untyped-def]
-    s, p, law, pairs, touch, walls, moved, offset, rolling, ledger, dt, seen, skin, first, steps
+    s, p, law, pairs, touch, walls, moved, offset, rolling, ledger, dt, seen, first, steps, pause
 ):
     """Advance from step `first`, where forces are known, until a list is stale or numbers break.
 
@@ -68,12 +68,13 @@ def advance(  # type: ignore[no-untyped-def]
         Sums that are added to.
     dt : float
         Step [s].
-    seen : (n + w, 2)
-        Places of discs, and ways of walls, when the lists were made [m].
-    skin : float
-        How far a disc and another, or a wall, may have moved from there together [m].
+    seen : (n + w, 3)
+        Places of discs, and ways of walls, when the lists were made [m], and how far each may move
+        from there before they are stale [m].
     first, steps : int
         Number of the first step, and how many.
+    pause : bool
+        Return after each step as if lists were stale, for a force from outside that changes.
 
     Returns
     -------
@@ -82,7 +83,9 @@ def advance(  # type: ignore[no-untyped-def]
         new lists (then call `forces`); `BROKEN`: a force was not finite, the state is lost.
     """
     n = len(s)
-    room, fastest = -1.0, speed_of(walls)
+    fastest, pace, longest, room = 0.0, 0.0, seen[:, 2].max(), -1.0
+    for w, speed in enumerate(speeds(walls)):
+        fastest, pace = max(fastest, speed), max(pace, speed / seen[n + w, 2])
     for step in range(first, first + steps):
         top, probe = 0.0, 0.0
         for i in range(n):
@@ -99,18 +102,19 @@ def advance(  # type: ignore[no-untyped-def]
             s[i, X] += dt * hx  # Eq. (1)
             s[i, Y] += dt * hy
             s[i, FX], s[i, FY], s[i, T] = p[i, EX], p[i, EY], 0.0
-            top = max(top, hx * hx + hy * hy)
+            top = max(top, (hx * hx + hy * hy) / (seen[i, 2] * seen[i, 2]))
             probe += 0.0 * (hx + hy + hs)  # nan if one is nan or infinite
         if probe != 0.0:
             return step - first, BROKEN
         if fastest > 0.0:
             move_walls(walls, moved, (step + 1) * dt)
-        lead = (2.0 * sqrt(top) + fastest) * dt  # most by which two can have come apart in the step
-        room -= lead
+        # What is left, of the share of its way that some disc or wall may move, shrinks by as much.
+        room -= max(sqrt(top), pace) * dt
         if room < 0.0:
-            room = skin - farthest(s, moved, seen)
-            if room < 0.0:
-                return step + 1 - first, STALE
+            room = 1.0 - farthest(s, moved, seen)
+        if room < 0.0 or pause:
+            return step + 1 - first, STALE
+        lead = (2.0 * sqrt(top) * longest + fastest) * dt  # two cannot part faster
         _pair_forces(s, law, pairs, offset, rolling, ledger, dt, lead)
         _wall_forces(s, law, touch, walls, moved, rolling, ledger, dt, lead)
         if ledger is not None:
@@ -125,7 +129,9 @@ def forces(s, p, law, pairs, touch, walls, moved, offset, rolling, ledger, dt): 
     for i in range(len(s)):
         s[i, FX], s[i, FY], s[i, T] = p[i, EX], p[i, EY], 0.0
         top = max(top, s[i, HX] ** 2 + s[i, HY] ** 2)
-    lead = (2.0 * sqrt(top) + speed_of(walls)) * dt
+    lead = 2.0 * sqrt(top) * dt
+    for speed in speeds(walls):
+        lead = max(lead, (sqrt(top) + speed) * dt)
     _pair_forces(s, law, pairs, offset, rolling, ledger, dt, lead)
     _wall_forces(s, law, touch, walls, moved, rolling, ledger, dt, lead)
     if ledger is not None:
@@ -134,29 +140,22 @@ def forces(s, p, law, pairs, touch, walls, moved, offset, rolling, ledger, dt): 
 
 @njit(cache=True)
 def farthest(s, moved, seen):  # type: ignore[no-untyped-def]
-    """Most by which two discs, or a disc and a wall, can have come closer since `seen` [m]."""
-    n = len(s)
-    far, second, walls = 0.0, 0.0, 0.0
+    """Largest way of a disc or wall since `seen`, in what it may move."""
+    n, far = len(s), 0.0
     for i in range(n):
         way = (s[i, X] - seen[i, 0]) ** 2 + (s[i, Y] - seen[i, 1]) ** 2
-        if way > far:
-            second, far = far, way
-        elif way > second:
-            second = way
+        far = max(far, way / seen[i, 2] ** 2)
     for w in range(len(moved)):
         way = (moved[w, 0] - seen[n + w, 0]) ** 2 + (moved[w, 1] - seen[n + w, 1]) ** 2
-        walls = max(walls, way)
-    return sqrt(far) + sqrt(max(second, walls))
+        far = max(far, way / seen[n + w, 2] ** 2)
+    return sqrt(far)
 
 
 @njit(cache=True)
-def speed_of(walls):  # type: ignore[no-untyped-def]
-    """Greatest speed of the walls [m/s]."""
-    top = 0.0
-    for w in range(len(walls)):
-        swing = walls[w, OMEGA] * np.hypot(walls[w, SX], walls[w, SY])
-        top = max(top, np.hypot(walls[w, UX], walls[w, UY]) + swing)
-    return top
+def speeds(walls):  # type: ignore[no-untyped-def]
+    """Greatest speed of each wall [m/s], (w,)."""
+    swing = walls[:, OMEGA] * np.hypot(walls[:, SX], walls[:, SY])
+    return np.hypot(walls[:, UX], walls[:, UY]) + swing
 
 
 @njit(cache=True)

@@ -1,19 +1,25 @@
 """Near pairs: the edges of the triangulation, and the walls, that may come into contact soon.
 
-A list holds every pair whose surfaces are closer than a skin s. It stays complete as long as no
-disc has moved by more than s/2 since it was made: two discs that are not in it were at least s
-apart and have come closer by less than s.
+Each disc, and each wall, is given a way it may move, longer the faster it is, before lists are made
+anew. A list holds every pair whose surfaces are closer than the ways of both together, so two discs
+that are not in it cannot touch while none has moved its way.
 
-**Edges suffice.** In the power triangulation (weights r²) a pair (i, j) is joined by an edge if
-the power of some point is smaller to both than to any third disc k. Take the point on the line
-through the centres where the powers to i and j agree, |y - x_i|² - r_i². For a gap s it is
+**Edges suffice.** In the power triangulation (weights r²) discs i and j are joined by an edge if
+some point y has a smaller power |y - x|² - r² to both than to any third disc k. Take the y between
+x_i and x_j at distances a_i, a_j where both powers are the same, p. Let no two discs overlap by more
+than δ, and the gap of i and j be s. With A_i = (r_i - δ)² + r_i² + 2 r_k (r_i - δ), Stewart's theorem
+for the triangle of i, j, k says
 
-    p = [(r_i + s)² ... ] <= 2 s a + s²/4,    a = r_i r_j/(r_i + r_j) <= r_min,                  (1)
+    power_k(y) - p >= (a_i a_j/d) [A_i/a_i + A_j/a_j - 2 d],   d = a_i + a_j = r_i + r_j + s.     (1)
 
-whereas a third disc that overlaps i and j by at most δ has at least p_k, its value in the nook
-between the two. So no pair is missed if s and the overlaps stay small against the smallest
-radius: s <= `SKIN` r_min and δ <= `DEEPEST` r_min, with a margin (`tests/test_pairs.py` searches
-for counterexamples).
+The bracket grows with r_k, so the smallest third disc, of radius 1, is the worst. With u = a_i - r_i
+and v = a_j - r_j, u + v = s, it is at least 4 (1 - δ - s) - f(u) - f(v), where f(u) = 2 (2 - δ)
+- 2 u - (2 - δ)²/(1 + u) is concave, so f(u) + f(v) <= 2 f(s/2), and the bracket is positive if
+
+    δ + s/sqrt(2) < 2 - sqrt(2) = 0.5858  smallest radii,                                         (2)
+
+which four equal discs attain. With s <= 2 `WAY` and δ <= `DEEPEST` no pair is missed. The edges
+also hold the deepest overlap itself (δ = -s in Eq. 1), so an overlap beyond `DEEPEST` is noticed.
 """
 
 from __future__ import annotations
@@ -31,8 +37,8 @@ from grainmesh.walls import AX, AY, LENGTH, TX, TY
 Float = NDArray[np.float64]
 Int = NDArray[np.int32]
 
-#: Largest skin and largest overlap for which the edges hold all near pairs, in smallest radii.
-SKIN, DEEPEST = 0.2, 0.4
+#: Longest way, and largest overlap, for which edges hold all near pairs, in smallest radii.
+WAY, DEEPEST = 0.2, 0.3
 #: Discs in a block that is compared with a wall as a whole.
 BLOCK = 64
 
@@ -99,11 +105,11 @@ def renumbered(old: Memory, new: Int, discs: bool, odd: tuple[int, ...]) -> Memo
 
 
 def near_discs(
-    mesh: Living, radius: Float, mass: Float, contact: Contact, skin: float, old: Memory
+    mesh: Living, radius: Float, mass: Float, contact: Contact, ways: Float, old: Memory
 ) -> Near:
-    """Discs whose surfaces are closer than `skin` [m]; radius (n,) [m], mass (n,) [kg/m]."""
+    """Discs that can touch before one has moved its way; all (n,): radius, mass, ways [m, kg/m]."""
     start, other, image = edges_closer(
-        mesh.points, radius, mesh.period, skin, mesh.triangles, mesh.neighbours, mesh.shifts
+        mesh.points, radius, mesh.period, ways, mesh.triangles, mesh.neighbours, mesh.shifts
     )
     history = remember(*old, start, other, image)
     a, b = np.repeat(mass, np.diff(start)), mass[other]
@@ -116,21 +122,21 @@ def near_walls(
     radius: Float,
     mass: Float,
     contact: Contact,
-    skin: float,
+    ways: Float,
     old: Memory,
     walls: Float,
     moved: Float,
 ) -> Near:
-    """Walls closer than `skin` [m] to discs; `walls` and `moved` as in `motion.advance`."""
-    start, other, image = walls_closer(mesh.points, radius, mesh.period, skin, walls, moved)
+    """The same for walls, `ways` (n + w,); `walls` and `moved` as in `motion.advance`."""
+    start, other, image = walls_closer(mesh.points, radius, mesh.period, ways, walls, moved)
     history = remember(*old, start, other, image)
     m = np.repeat(mass, np.diff(start))
     return Near(start, other, image, image * mesh.period, contact.coefficient(m), m, history)
 
 
 @njit(cache=True)
-def edges_closer(points, radius, period, skin, triangles, neighbours, shifts):  # type: ignore[no-untyped-def]
-    """Edges between discs closer than `skin`: start (n + 1,), other (l,), image (l, 2)."""
+def edges_closer(points, radius, period, ways, triangles, neighbours, shifts):  # type: ignore[no-untyped-def]
+    """Edges of discs closer than both their ways: start (n + 1,), other (l,), image (l, 2)."""
     n, t = len(radius), len(triangles)
     found = np.empty((3 * n + 8, 4), np.int32)
     size = 0
@@ -146,7 +152,7 @@ def edges_closer(points, radius, period, skin, triangles, neighbours, shifts):  
             sx, sy = shifts[a, k2, 0] - shifts[a, k1, 0], shifts[a, k2, 1] - shifts[a, k1, 1]
             dx = points[j, 0] - points[i, 0] + sx * period[0]
             dy = points[j, 1] - points[i, 1] + sy * period[1]
-            reach = radius[i] + radius[j] + skin
+            reach = radius[i] + radius[j] + ways[i] + ways[j]
             if dx * dx + dy * dy >= reach * reach:
                 continue
             if i > j:
@@ -190,9 +196,10 @@ def edges_closer(points, radius, period, skin, triangles, neighbours, shifts):  
 
 
 @njit(cache=True)
-def walls_closer(points, radius, period, skin, walls, moved):  # type: ignore[no-untyped-def]
-    """Walls closer than `skin` to discs: start (n + 1,), wall (l,), image (l, 2).
+def walls_closer(points, radius, period, ways, walls, moved):  # type: ignore[no-untyped-def]
+    """Walls closer to discs than both their ways: start (n + 1,), wall (l,), image (l, 2).
 
+    `ways` (n + w,) is how far each disc, then each wall, may move [m];
     `moved` (w, 2) is how far each wall has moved from where its row in `walls` says [m].
     """
     n = len(radius)
@@ -203,7 +210,7 @@ def walls_closer(points, radius, period, skin, walls, moved):  # type: ignore[no
         e = min(b + BLOCK, n)
         low, high, most = np.full(2, np.inf), np.full(2, -np.inf), 0.0
         for i in range(b, e):
-            most = max(most, radius[i])
+            most = max(most, radius[i] + ways[i])
             for c in range(2):
                 low[c] = min(low[c], points[i, c])
                 high[c] = max(high[c], points[i, c])
@@ -216,7 +223,7 @@ def walls_closer(points, radius, period, skin, walls, moved):  # type: ignore[no
                     continue
                 a = walls[w, AX + c] + moved[w, c]
                 z = a + walls[w, TX + c] * walls[w, LENGTH]
-                left, right = min(a, z) - most - skin, max(a, z) + most + skin
+                left, right = min(a, z) - most - ways[n + w], max(a, z) + most + ways[n + w]
                 if period[c] > 0.0:
                     first[c] = int(np.ceil((low[c] - right) / period[c]))
                     last[c] = int(np.floor((high[c] - left) / period[c]))
@@ -229,7 +236,7 @@ def walls_closer(points, radius, period, skin, walls, moved):  # type: ignore[no
                     for i in range(b, e):
                         dx = points[i, 0] - walls[w, AX] - moved[w, 0] - sx * period[0]
                         dy = points[i, 1] - walls[w, AY] - moved[w, 1] - sy * period[1]
-                        if _distance(dx, dy, walls[w]) < radius[i] + skin:
+                        if _distance(dx, dy, walls[w]) < radius[i] + ways[i] + ways[n + w]:
                             if size == len(found):
                                 found = np.concatenate((found, np.empty_like(found)))
                             found[size, 0], found[size, 1] = i, w
@@ -281,7 +288,7 @@ def remember(owner, other, image, history, new_start, new_other, new_image):  # 
 
 __all__ = [
     "DEEPEST",
-    "SKIN",
+    "WAY",
     "Memory",
     "Near",
     "memory",

@@ -42,14 +42,19 @@ def relax(model: Model, particles: Particles) -> Particles:
     state = np.zeros((len(r), 12))
     state[:, R] = r
     x, worst = np.array(particles.x), np.inf
+    still = np.zeros(len(r) + len(walls))
+    angle = np.arange(len(r))  # where discs that share a place are pushed to
     period = box.size if box.periodic else np.zeros(2)
     for _ in range(ROUNDS):
         found = close_pairs(box, Particles(x, 2.0 * r), 0.0)
         i, j = found[found[:, 0] != found[:, 1]].T
         away = box.separation(x[i], x[j])
-        distance = np.maximum(np.hypot(*away.T), 1e-9 * r[i])
-        overlap = r[i] + r[j] - distance
-        start, wall, image = walls_closer(x, r, period, 0.0, walls, moved)
+        distance = np.hypot(*away.T)
+        same = distance < 1e-9 * r[i]
+        away[same] = np.stack([np.cos(angle[j[same]]), np.sin(angle[j[same]])], axis=1)
+        distance[same] = 1.0
+        overlap = r[i] + r[j] - np.where(same, 0.0, distance)
+        start, wall, image = walls_closer(x, r, period, still, walls, moved)
         none = np.zeros((len(wall), 1))
         near = Near(start, wall, image, image * period, none[:, 0], none[:, 0], none)
         state[:, :2] = x

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from grainmesh import checkpoint, motion, pairs
 from grainmesh.cells import wrapped
-from grainmesh.contact import FEWEST_STEPS, STEPS
+from grainmesh.contact import below
 from grainmesh.domain import SIDES
 from grainmesh.errors import InputError, RunError
 from grainmesh.living import Living, living
@@ -49,7 +49,6 @@ from grainmesh.motion import (
     OX,
     OY,
     QR,
-    VS,
     VX,
     VY,
     R,
@@ -58,17 +57,16 @@ from grainmesh.motion import (
     Y,
 )  # fmt: skip
 from grainmesh.pairs import Memory, Near
-from grainmesh.particles import Particles, close_pairs
+from grainmesh.particles import Particles
 from grainmesh.progress import bar
+from grainmesh.start import MOST_AT_START, law_of, refuse_overlap, rows, state_of, step_of
 from grainmesh.walls import table
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int32]
 
-#: Most overlap of discs, or of a disc and a wall, at the start, in (smaller) radii.
-MOST_AT_START = 0.05
-#: The skin is chosen to last for about so many steps, but above this share of the least radius.
-LASTS, THINNEST = 100, 0.02
+#: Ways are for so many steps at the present speed, but not below this share of the least radius.
+LASTS, THINNEST = 150, 0.01
 #: Steps after which a copy of the state is kept, for the case that the next ones fail.
 CHUNK = 1000
 #: What a checkpoint holds besides lists and mesh.
@@ -107,43 +105,36 @@ class Simulation:
         n = len(particles)
         self.model = model
         self.step = 0
-        self.dt = _step_of(model, particles)
+        self.dt = step_of(model, particles)
         self.history: list[dict[str, float]] = []
         self.seconds = {"steps": 0.0, "upkeep": 0.0}
         self.upkeeps = self.sorted = 0
-        _refuse_overlap(model, particles)
-
-        radius, mass = particles.radius, particles.density * np.pi * particles.diameter**2 / 4.0
-        self._s, self._p = np.zeros((n, 12)), np.zeros((n, 6))
-        self._s[:, :2], self._s[:, R] = particles.x, radius
-        self._p[:, IM], self._p[:, IJ] = 1.0 / mass, 2.0 / mass  # I = m r²/2
-        for name, given, columns in (("velocity", velocity, (HX, HY)), ("spin", spin, (HS,))):
-            shape = (n, len(columns)) if name == "velocity" else (n,)
-            try:
-                value = np.broadcast_to(np.asarray(given, dtype=float), shape)
-            except ValueError:
-                raise InputError(f"{name} needs shape {shape}, got {np.shape(given)}") from None
-            bad = np.flatnonzero(~np.isfinite(value).reshape(n, -1).all(axis=1))
-            if len(bad):
-                raise InputError(f"particle {bad[0]}: {name} is not finite")
-            self._s[:, list(columns)] = value.reshape(n, -1)
-        self._s[:, HS] *= radius
-        self._s[:, [VX, VY, VS]] = self._s[:, [HX, HY, HS]]
+        refuse_overlap(model, particles)
+        self._s, self._p = state_of(particles, velocity, spin, self.dt)
         self._slot = np.arange(n)  # the user's number of each disc
-        self._law = _law(model)
+        self._law = law_of(model)
         self._walls = table(model.all_walls, model.contact.friction)
         self._moved = np.zeros((len(self._walls), 6))
         motion.move_walls(self._walls, self._moved, 0.0)
         self._books = np.zeros(9 if ledger else 0)
-        self._mesh = living(model.box, particles.x, radius)
+        self._mesh = living(model.box, particles.x, particles.radius)
         empty = pairs.nothing(9 if ledger else 2 if model.contact.rolling > 0.0 else 1)
         self._sort(empty, empty)
-        depth, who = self._deepest()
-        if depth > pairs.DEEPEST:
+        depth = wall_overlaps(self._s, self._touch, self._walls, self._moved)[0]
+        share = depth / self._s[self._touch.owner, R]
+        if len(share) and share.max() > MOST_AT_START:
+            e = int(np.argmax(share))
             raise InputError(
-                f"{who} overlap by {100.0 * depth:.3g} % of the smallest radius: move them apart "
+                f"particle {self._slot[self._touch.owner[e]]} sticks in "
+                f"{self._wall_name(self._touch.other[e])} by {100.0 * share[e]:.3g} % of its "
+                f"radius, {100 * MOST_AT_START:g} % is taken at the start: move it inside "
                 "(grainmesh.relax does)"
             )
+        try:
+            if self._stay() is not None:
+                raise RunError("a particle lies outside the box at the start: drop it")
+        except RunError as fault:
+            raise InputError(str(fault)) from None
         self._force_outside()
         self._p[:, [OX, OY]] = self._p[:, [EX, EY]]
         motion.forces(*self._state())
@@ -300,7 +291,7 @@ class Simulation:
         mesh = vars(self._mesh)
         arrays |= {f"mesh/{key}": mesh[key] for key in mesh if isinstance(mesh[key], np.ndarray)}
         numbers["mesh"] = {key: mesh[key] for key in mesh if isinstance(mesh[key], int)}
-        return checkpoint.write(folder, self.model, numbers | {"skin": self._skin}, arrays)
+        return checkpoint.write(folder, self.model, numbers, arrays)
 
     def _advance(self, steps: int, tell: Callable[[int], None]) -> None:
         end = self.step + steps
@@ -309,8 +300,7 @@ class Simulation:
             good = self._copy()
             began = perf_counter()
             done, why = motion.advance(
-                *self._state(), self._seen, -1.0 if pushed else self._skin, self.step,
-                1 if pushed else min(end - self.step, CHUNK),
+                *self._state(), self._seen, self.step, min(end - self.step, CHUNK), pushed
             )  # fmt: skip
             self.step += done
             self.seconds["steps"] += perf_counter() - began
@@ -318,13 +308,15 @@ class Simulation:
                 if why == motion.BROKEN:
                     self._blame()
                 if why == motion.STALE:
-                    if motion.farthest(self._s, self._moved, self._seen) > self._skin:
+                    if motion.farthest(self._s, self._moved, self._seen) > 1.0:
                         self._upkeep()
                     if pushed:
                         self._force_outside()
                     motion.forces(*self._state())
-            except RunError:
+            except BaseException as fault:
                 self._restore(good)
+                if isinstance(fault, InputError):
+                    raise RunError(f"{fault} (at t = {self.t:g} s)") from None
                 raise
             tell(self.step)
 
@@ -352,35 +344,23 @@ class Simulation:
         given = (
             force(self.t, self.x, self._users(self._s[:, [VX, VY]])) if callable(force) else force
         )
-        try:
-            value = np.broadcast_to(np.asarray(given, dtype=float), (len(self), 2))
-        except ValueError:
-            raise InputError(
-                f"model: force needs shape ({len(self)}, 2), got {np.shape(given)}"
-            ) from None
-        bad = np.flatnonzero(~np.isfinite(value).all(axis=1))
-        if len(bad):
-            raise RunError(
-                f"the force from outside on particle {self.ids[bad[0]]} is not finite at t = "
-                f"{self.t:g} s"
-            )
+        value = rows("force from outside", given, len(self))
         self._p[np.ix_(self._rank, [EX, EY])] = value
 
     def _copy(self) -> tuple[Any, ...]:
         return (
             self.step, self._s.copy(), self._p.copy(), self._moved.copy(), self._books.copy(),
             self._pairs, self._pairs.history.copy(), self._touch, self._touch.history.copy(),
-            self._slot, self._rank, self._seen, self._skin,
+            self._slot, self._rank, self._seen,
         )  # fmt: skip
 
     def _restore(self, good: tuple[Any, ...]) -> None:
         (
             self.step, self._s, self._p, self._moved, self._books,
             links, springs, touch, more, self._slot, self._rank, self._seen,
-            self._skin,
         ) = good  # fmt: skip
         self._pairs, self._touch = links._replace(history=springs), touch._replace(history=more)
-        self._mesh.renew(self._s[:, :2])
+        self._mesh = living(self.model.box, self._s[:, :2].copy(), self._s[:, R].copy())
 
     def _blame(self) -> None:
         """Say which particle broke."""
@@ -393,7 +373,14 @@ class Simulation:
     def _upkeep(self) -> None:
         """Triangulation and lists for the present places."""
         began = perf_counter()
-        self._mesh.follow(self._s[:, :2])
+        speed = np.hypot(self._s[:, HX], self._s[:, HY])
+        if speed.max() * self.dt > pairs.WAY * self._s[:, R].min():
+            i = int(np.argmax(speed))
+            raise RunError(
+                f"particle {self._slot[i]} has become too fast, {speed[i]:.3g} m/s, for the step "
+                f"of {self.dt:.3g} s at t = {self.t:g} s: at most "
+                f"{below(pairs.WAY * self._s[:, R].min() / speed[i])} s (Model(dt=...))"
+            )
         discs, walls = pairs.memory(self._pairs), pairs.memory(self._touch)
         stay = self._stay()
         if stay is not None:
@@ -408,6 +395,7 @@ class Simulation:
             if len(self) == 0:
                 raise RunError(f"the last particle left the box at t = {self.t:g} s")
             self._mesh.drop(stay)
+        self._mesh.follow(self._s[:, :2])
         if self._mesh.flips - self.sorted > len(self):
             self._sort(discs, walls)
         else:
@@ -466,15 +454,15 @@ class Simulation:
     def _renew_lists(self, discs: Memory, walls: Memory) -> None:
         """Near discs and walls, with the history of those that were near before."""
         radius, mass = np.ascontiguousarray(self._s[:, R]), 1.0 / self._p[:, IM]
-        fastest = float(np.sqrt((self._s[:, HX] ** 2 + self._s[:, HY] ** 2).max()))
-        fastest = max(fastest, motion.speed_of(self._walls))
-        skin = np.clip(
-            2.0 * LASTS * fastest * self.dt, THINNEST * radius.min(), pairs.SKIN * radius.min()
-        )
-        about = self._mesh, radius, mass, self.model.contact, float(skin)
+        speed = np.hypot(self._s[:, HX], self._s[:, HY])
+        usual = 2.0 * np.sqrt((speed**2).mean())  # those at rest now are about to be as fast
+        speed = np.append(speed + usual, motion.speeds(self._walls))
+        ways = np.clip(LASTS * self.dt * speed, *(np.array([THINNEST, pairs.WAY]) * radius.min()))
+        about = self._mesh, radius, mass, self.model.contact, ways
         self._pairs = pairs.near_discs(*about, discs)
         self._touch = pairs.near_walls(*about, walls, self._walls, self._moved)
-        self._seen, self._skin = np.vstack([self._s[:, :2], self._moved[:, :2]]), float(skin)
+        places = np.vstack([self._s[:, :2], self._moved[:, :2]])
+        self._seen = np.column_stack([places, ways])
 
     def _deepest(self) -> tuple[float, str]:
         """Largest overlap in smallest radii, and whose it is."""
@@ -489,10 +477,12 @@ class Simulation:
         if len(depth) and depth.max() > worst:
             e = int(np.argmax(depth))
             i, wall = self._slot[self._touch.owner[e]], self._touch.other[e]
-            name = self.model.all_walls[wall].side
-            worst = float(depth[e])
-            who = f"particle {i} and " + (f"the {name} wall" if name else f"wall {wall}")
+            worst, who = float(depth[e]), f"particle {i} and {self._wall_name(wall)}"
         return worst / least, who
+
+    def _wall_name(self, number: int) -> str:
+        side = self.model.all_walls[number].side
+        return f"the {side} wall" if side else f"wall {number}"
 
 
 def resume(folder: str | Path, force: Force | None = None) -> Simulation:
@@ -526,7 +516,6 @@ def resume(folder: str | Path, force: Force | None = None) -> Simulation:
             setattr(simulation, name, numbers[name])
         for name in STATE:
             setattr(simulation, "_" + name, arrays[f"state/{name}"])
-        simulation._skin = numbers["skin"]
         for name in ("pairs", "touch"):
             fields = {key: arrays[f"{name}/{key}"] for key in Near._fields}
             setattr(simulation, "_" + name, Near(**fields))
@@ -535,51 +524,10 @@ def resume(folder: str | Path, force: Force | None = None) -> Simulation:
         }
         simulation._mesh = Living(box=model.box, **parts, **numbers["mesh"])
         simulation._walls = table(model.all_walls, model.contact.friction)
-        simulation._law = _law(model)
+        simulation._law = law_of(model)
     except (KeyError, TypeError) as fault:
         raise InputError(f"{folder}: the checkpoint is incomplete ({fault})") from None
     return simulation
-
-
-def _law(model: Model) -> Float:
-    """Numbers of the contact law and gravity as `motion.advance` takes them."""
-    c = model.contact
-    springs = c.stiffness, c.tangential * c.stiffness, c.tangential_damping
-    return np.array([*springs, c.friction, *model.gravity])
-
-
-def _step_of(model: Model, particles: Particles) -> float:
-    """Step of a model [s], refused if too large for the lightest pair or overdamped ones."""
-    mass = np.sort(particles.density * np.pi * particles.diameter**2 / 4.0)
-    pair = mass[0] * mass[min(1, len(mass) - 1)] / (mass[0] + mass[min(1, len(mass) - 1)])
-    model.contact.contact_time(mass[-1])  # the heaviest, on a wall, is damped most
-    shortest = model.contact.contact_time(pair)
-    if model.dt is None:
-        return shortest / STEPS
-    if model.dt > shortest / FEWEST_STEPS:
-        raise InputError(
-            f"model: dt = {model.dt:g} s is too large for contacts that last {shortest:.3g} s: at "
-            f"most {shortest / FEWEST_STEPS:.3g} s, better {shortest / STEPS:.3g} s"
-        )
-    return model.dt
-
-
-def _refuse_overlap(model: Model, particles: Particles) -> None:
-    """Raise if discs overlap by more than `MOST_AT_START`."""
-    r = particles.radius
-    found = close_pairs(model.box, particles, 0.0)
-    if (found[:, 0] == found[:, 1]).any():
-        raise InputError("the box is too small: a particle touches its own periodic image")
-    i, j = found.T
-    distance = np.hypot(*model.box.separation(particles.x[i], particles.x[j]).T)
-    share = (r[i] + r[j] - distance) / np.minimum(r[i], r[j])
-    worst = int(np.argmax(share)) if len(share) else 0
-    if len(share) and share[worst] > MOST_AT_START:
-        raise InputError(
-            f"particles {i[worst]} and {j[worst]} overlap by {100 * share[worst]:.3g} % of the "
-            f"smaller radius, {100 * MOST_AT_START:g} % is taken at the start: move them apart "
-            "(grainmesh.relax does)"
-        )
 
 
 __all__ = ["Simulation", "resume"]

@@ -1,0 +1,96 @@
+"""The state a simulation starts from, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from grainmesh.contact import FEWEST_STEPS, STEPS, below
+from grainmesh.errors import InputError
+from grainmesh.model import Model
+from grainmesh.motion import HS, HX, HY, IJ, IM, VS, VX, VY, R
+from grainmesh.pairs import WAY
+from grainmesh.particles import Particles, close_pairs
+
+Float = NDArray[np.float64]
+
+#: Most overlap of discs, or of a disc and a wall, at the start, in (smaller) radii.
+MOST_AT_START = 0.05
+
+
+def state_of(
+    particles: Particles, velocity: ArrayLike, spin: ArrayLike, dt: float
+) -> tuple[Float, Float]:
+    """State (n, 12) and constants (n, 6) of discs, see `motion`; arguments as of `Simulation`."""
+    n, radius = len(particles), particles.radius
+    mass = particles.density * np.pi * particles.diameter**2 / 4.0
+    s, p = np.zeros((n, 12)), np.zeros((n, 6))
+    s[:, :2], s[:, R] = particles.x, radius
+    p[:, IM], p[:, IJ] = 1.0 / mass, 2.0 / mass  # I = m r²/2
+    s[:, [HX, HY]] = rows("velocity", velocity, n)
+    s[:, HS] = radius * rows("spin", spin, n, width=None)
+    fast = np.flatnonzero(np.hypot(s[:, HX], s[:, HY]) * dt > WAY * radius.min())
+    if len(fast):
+        i, speed = fast[0], float(np.hypot(*s[fast[0], [HX, HY]]))
+        raise InputError(
+            f"particle {i} is too fast, {speed:.3g} m/s, for the step of {dt:.3g} s: at most "
+            f"{below(WAY * radius.min() / speed)} s (Model(dt=...)), or check its unit"
+        )
+    s[:, [VX, VY, VS]] = s[:, [HX, HY, HS]]
+    return s, p
+
+
+def rows(name: str, given: ArrayLike, n: int, width: int | None = 2) -> Float:
+    """Numbers as (n, 2), from (n, 2) or (2,), or with no width as (n,), from (n,) or a scalar."""
+    one, many = (() if width is None else (width,)), ((n,) if width is None else (n, width))
+    value = np.asarray(given, dtype=float)
+    if value.shape not in (one, many):
+        raise InputError(f"{name} needs shape {many} or {one}, got {value.shape}")
+    bad = np.flatnonzero(~np.isfinite(np.broadcast_to(value, many)).reshape(n, -1).all(axis=1))
+    if len(bad):
+        raise InputError(f"{name} of particle {bad[0]} is not finite")
+    return np.broadcast_to(value, many)
+
+
+def law_of(model: Model) -> Float:
+    """Numbers of the contact law and gravity as `motion.advance` takes them."""
+    c = model.contact
+    springs = c.stiffness, c.tangential * c.stiffness, c.tangential_damping
+    return np.array([*springs, c.friction, *model.gravity])
+
+
+def step_of(model: Model, particles: Particles) -> float:
+    """Step of a model [s], refused if too large for the lightest pair or overdamped ones."""
+    mass = np.sort(particles.density * np.pi * particles.diameter**2 / 4.0)
+    pair = mass[0] * mass[min(1, len(mass) - 1)] / (mass[0] + mass[min(1, len(mass) - 1)])
+    model.contact.contact_time(mass[-1])  # the heaviest, on a wall, is damped most
+    shortest = model.contact.contact_time(pair)
+    if model.dt is None:
+        return shortest / STEPS
+    if model.dt > shortest / FEWEST_STEPS:
+        raise InputError(
+            f"model: dt = {model.dt:g} s is too large for contacts that last {shortest:.3g} s: at "
+            f"most {below(shortest / FEWEST_STEPS)} s, better {below(shortest / STEPS)} s"
+        )
+    return model.dt
+
+
+def refuse_overlap(model: Model, particles: Particles) -> None:
+    """Raise if discs overlap by more than `MOST_AT_START`."""
+    r = particles.radius
+    found = close_pairs(model.box, particles, 0.0)
+    if (found[:, 0] == found[:, 1]).any():
+        raise InputError("the box is too small: a particle touches its own periodic image")
+    i, j = found.T
+    distance = np.hypot(*model.box.separation(particles.x[i], particles.x[j]).T)
+    share = (r[i] + r[j] - distance) / np.minimum(r[i], r[j])
+    worst = int(np.argmax(share)) if len(share) else 0
+    if len(share) and share[worst] > MOST_AT_START:
+        raise InputError(
+            f"particles {i[worst]} and {j[worst]} overlap by {100 * share[worst]:.3g} % of the "
+            f"smaller radius, {100 * MOST_AT_START:g} % is taken at the start: move them apart "
+            "(grainmesh.relax does)"
+        )
+
+
+__all__ = ["MOST_AT_START", "law_of", "refuse_overlap", "rows", "state_of", "step_of"]
