@@ -5,14 +5,19 @@ READY := .venv/ready
 
 .PHONY: demo test test-all lint bench docs clean
 
-demo: $(READY)
+demo: $(READY) .venv/kernels
 	$(BIN)/python examples/carbon_fibres.py --out out/demo
 
-test: $(READY)
+test: $(READY) .venv/kernels
 	$(BIN)/pytest -m "not slow"
 
-test-all: $(READY)
+test-all: $(READY) .venv/kernels
 	$(BIN)/pytest
+
+# Compiled kernels are cached by the file they stand in, not by those they call: drop stale ones.
+.venv/kernels: $(READY) $(wildcard src/grainmesh/*.py src/grainmesh/*/*.py)
+	@find src -name '*.nb[ic]' -delete
+	@touch $@
 
 lint: $(READY)
 	$(BIN)/ruff check .
@@ -20,11 +25,11 @@ lint: $(READY)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-bench: $(READY)
+bench: $(READY) .venv/kernels
 	@set -e; for script in $(sort $(wildcard benchmarks/*.py)); do \
 	  echo "== $$script"; $(BIN)/python $$script --quick; done
 
-docs: $(READY)
+docs: $(READY) .venv/kernels
 	@set -e; for script in $(sort $(wildcard docs/*.py)); do \
 	  echo "== $$script"; $(BIN)/python $$script; done
 

@@ -6,20 +6,20 @@ that are not in it cannot touch while none has moved its way.
 
 **Edges suffice.** In the power triangulation (weights r²) discs i and j are joined by an edge if
 some point y has a smaller power |y - x|² - r² to both than to any third disc k. Take the y between
-x_i and x_j at distances a_i, a_j where both powers are the same, p. Let no two discs overlap by more
-than δ, and the gap of i and j be s. With A_i = (r_i - δ)² + r_i² + 2 r_k (r_i - δ), Stewart's theorem
-for the triangle of i, j, k says
+x_i and x_j, at distances a_i and a_j, where both powers are the same, p. Let no two discs overlap
+by more than δ, and the gap of i and j be s. With A_i = (r_i - δ)² + r_i² + 2 r_k (r_i - δ),
+Stewart's theorem for the triangle of i, j, k says
 
-    power_k(y) - p >= (a_i a_j/d) [A_i/a_i + A_j/a_j - 2 d],   d = a_i + a_j = r_i + r_j + s.     (1)
+    power_k(y) - p >= (a_i a_j/d) [A_i/a_i + A_j/a_j - 2 d],  d = a_i + a_j = r_i + r_j + s.   (1)
 
-The bracket grows with r_k, so the smallest third disc, of radius 1, is the worst. With u = a_i - r_i
-and v = a_j - r_j, u + v = s, it is at least 4 (1 - δ - s) - f(u) - f(v), where f(u) = 2 (2 - δ)
+The bracket grows with r_k, so the smallest third disc, of radius 1, is the worst. With u = a_i -
+r_i and v = a_j - r_j, u + v = s, it is at least 4 (1 - δ - s) - f(u) - f(v), where f(u) = 2 (2 - δ)
 - 2 u - (2 - δ)²/(1 + u) is concave, so f(u) + f(v) <= 2 f(s/2), and the bracket is positive if
 
-    δ + s/sqrt(2) < 2 - sqrt(2) = 0.5858  smallest radii,                                         (2)
+    δ + s/sqrt(2) < 2 - sqrt(2) = 0.5858  smallest radii,                                      (2)
 
 which four equal discs attain. With s <= 2 `WAY` and δ <= `DEEPEST` no pair is missed. The edges
-also hold the deepest overlap itself (δ = -s in Eq. 1), so an overlap beyond `DEEPEST` is noticed.
+also hold the deepest overlap itself (δ = -s in Eq. 1), so one beyond `DEEPEST` is noticed.
 """
 
 from __future__ import annotations

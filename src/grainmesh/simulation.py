@@ -404,7 +404,8 @@ class Simulation:
         if depth > pairs.DEEPEST:
             raise RunError(
                 f"{who} overlap by {100 * depth:.3g} % of the smallest radius at t = {self.t:g} s, "
-                f"at most {100 * pairs.DEEPEST:g} % can be followed: raise the stiffness"
+                f"at most {100 * pairs.DEEPEST:g} % can be followed: raise the stiffness, to "
+                f"{self._law[0] * (10.0 * depth) ** 2:.1g} N/m perhaps"
             )
         self.upkeeps += 1
         self.seconds["upkeep"] += perf_counter() - began
