@@ -15,16 +15,17 @@ damped oscillation, hence (e: restitution, t_c: contact time)
     β = -ln e / sqrt(π² + ln² e),   c = 2 β sqrt(k m),   t_c = π / sqrt((1 - β²) k/m).        (4)
 
 A contact begins and ends inside a step, and leapfrog (`motion`, Eq. 1) sees it at the ends of the
-step only. While discs touch it keeps m v²/2 + k δ δ'/2 exactly, v = (δ' - δ)/Δt being the approach
-speed over a step and δ, δ' the overlaps at its ends. In the step in which a contact begins or ends
-one of them is a gap, and what is kept is not m v²/2, the energy outside. So v is corrected: as the
-contact begins with δ', to the v₊ that will keep it, and as it ends, to v₋ that had been kept,
+step only. The work of a force is its mean over a step times the way (`motion`, Eq. 3), which for a
+spring between two instants in contact is the change of k δ²/2, but not if one of them is outside.
+So at the first instant in contact, and at the first out of it, the spring is given that force f
+with which it is: with u and u' the approach speeds over the steps before and after, f_d the force
+of the dashpot and δ₋, δ, δ₊ the overlaps a step before, now, and a step after,
 
-    v₊² + k δ' (δ' - v₊ Δt)/m = v²,      v₋² = v² + k δ δ'/m,                                   (5)
+    f (u + u') Δt = k δ δ₊  as it begins,    -k δ₋ δ  as it ends,     u' = u - (f + f_d) Δt/m.   (5)
 
-after which elastic collisions keep the energy to round-off. With θ the share of that step spent in
-contact, the damping force acts 1/2 + θ steps at the first instant in contact, and θ - 1/2 steps at
-the first instant out of it. The law is then of second order in Δt for all θ.
+Then elastic collisions keep the energy to round-off, and of damped ones all work is accounted for.
+With θ the share of that step spent in contact, the dashpot acts for 1/2 + θ steps at the first
+instant in contact, and for θ - 1/2 at the first out of it. The law is of second order for all θ.
 """
 
 from __future__ import annotations
@@ -174,13 +175,15 @@ def _begin_or_end(o, un, vn, ut, vt, ur, vr, k, kt, c, ct, mass, mu, mur, q, qr,
         if before <= 0.0:
             return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         fd = (-before / (un * dt) - 0.5) * c * un
-        fn = mass / dt * (un + sqrt(un * un + k / mass * before * o)) + fd
-        return fn, fd, 0.0, 0.0, 0.0, 0.0, 0.0
+        b, d = 2.0 * un - fd * dt / mass, -k / mass * before * o
+        fe = mass / dt * 2.0 * d / (b - sqrt(max(b * b - 4.0 * d, 0.0)))  # u < 0
+        return fe + fd, fd, 0.0, 0.0, 0.0, 0.0, 0.0
     share = o / (un * dt)
-    half = 0.5 * k / mass * o * dt
-    fe = k * o - mass / dt * (half + sqrt(half * half + un * un - k / mass * o * o) - un)
     kt, c, ct = (0.5 + 0.5 * share) * kt, (0.5 + share) * c, (0.5 + share) * ct
-    fd = c * vn
+    fd, stiff = c * vn, k * dt / mass * o
+    slow = un - fd * dt / mass
+    b, d = un + slow + stiff, stiff * (slow + o / dt)
+    fe = mass / dt * 2.0 * d / (b + sqrt(max(b * b - 4.0 * d, 0.0)))
     fn = fe + fd
     most = max(fn, 0.0)
     ft, q = slide(q, vt, share * ut, kt, ct, mu * most, dt)

@@ -217,7 +217,9 @@ def _pair_forces(s, law, near, offset, rolling, ledger, dt, lead):  # type: igno
             hx, hy = s[i, HX] - s[j, HX], s[i, HY] - s[j, HY]
             vx, vy = s[i, VX] - s[j, VX], s[i, VY] - s[j, VY]
             un, vn = hx * nx + hy * ny, vx * nx + vy * ny
-            ut = hy * nx - hx * ny + s[i, HS] + s[j, HS]
+            ht = hy * nx - hx * ny
+            turn = 0.5 * ht * un * dt * inverse  # by half of the turn of n in the step
+            ut = ht - turn + s[i, HS] + s[j, HS]
             vt = vy * nx - vx * ny + s[i, VS] + s[j, VS]
             a = ur = vr = qr = mur = 0.0
             if rolling is not None:
@@ -231,7 +233,9 @@ def _pair_forces(s, law, near, offset, rolling, ledger, dt, lead):  # type: igno
                 old[e, Q], qr, dt,
             )  # fmt: skip
             if ledger is not None:
-                _book(old[e], o, fd, ft - fs, fs, fr, q, qr, ut * dt, ur * dt, kt, ledger)
+                _book(
+                    old[e], o, fd, ft - fs, fs, fr, q, qr, ut * dt, turn * dt, ur * dt, kt, ledger
+                )
             old[e, Q] = q
             if rolling is not None:
                 old[e, QR] = qr
@@ -268,7 +272,9 @@ def _wall_forces(s, law, near, walls, moved, rolling, ledger, dt, lead):  # type
             hx, hy = s[i, HX] - wx, s[i, HY] - wy
             vx, vy = s[i, VX] - moved[w, 4], s[i, VY] - moved[w, 5]
             un, vn = hx * nx + hy * ny, vx * nx + vy * ny
-            ut, vt = hy * nx - hx * ny + s[i, HS], vy * nx - vx * ny + s[i, VS]
+            ht = hy * nx - hx * ny
+            turn = 0.5 * ht * un * dt / (s[i, R] - o) if at_end else 0.0
+            ut, vt = ht - turn + s[i, HS], vy * nx - vx * ny + s[i, VS]
             qr = mur = 0.0
             if rolling is not None:
                 mur, qr = rolling, old[e, QR]
@@ -279,7 +285,21 @@ def _wall_forces(s, law, near, walls, moved, rolling, ledger, dt, lead):  # type
             )  # fmt: skip
             px, py = ft * ny - fn * nx, -fn * ny - ft * nx
             if ledger is not None:
-                _book(old[e], o, fd, ft - fs, fs, fr, q, qr, ut * dt, s[i, HS] * dt, kt, ledger)
+                _book(
+                    old[e],
+                    o,
+                    fd,
+                    ft - fs,
+                    fs,
+                    fr,
+                    q,
+                    qr,
+                    ut * dt,
+                    turn * dt,
+                    s[i, HS] * dt,
+                    kt,
+                    ledger,
+                )
                 jx, jy = 0.5 * dt * (px + old[e, PX]), 0.5 * dt * (py + old[e, PY])
                 ledger[WX] += jx
                 ledger[WY] += jy
@@ -294,10 +314,11 @@ def _wall_forces(s, law, near, walls, moved, rolling, ledger, dt, lead):  # type
 
 
 @njit(cache=True)
-def _book(row, o, fd, fdt, fs, fr, q, qr, slid, rolled, kt, ledger):  # type: ignore[no-untyped-def]
+def _book(row, o, fd, fdt, fs, fr, q, qr, slid, turn, rolled, kt, ledger):  # type: ignore[no-untyped-def]
     """Work of a contact since the last step, Eq. (3), written into the ledger."""
-    ledger[DAMPED] += 0.5 * (row[DN] + fd) * (o - row[GAP]) + 0.5 * (row[DT] + fdt) * slid
-    ledger[SLID] += 0.5 * (row[FS] + fs) * slid - 0.5 * kt * (q * q - row[Q] ** 2)
+    before, now = 0.5 * (slid - turn), 0.5 * (slid + turn)  # along the tangents of then and now
+    ledger[DAMPED] += 0.5 * (row[DN] + fd) * (o - row[GAP]) + row[DT] * before + fdt * now
+    ledger[SLID] += row[FS] * before + fs * now - 0.5 * kt * (q * q - row[Q] ** 2)
     ledger[ROLLED] += 0.5 * (row[FR] + fr) * rolled - 0.5 * kt * (qr * qr - row[QR] ** 2)
     row[GAP], row[DN], row[DT], row[FS], row[FR] = o, fd, fdt, fs, fr
 

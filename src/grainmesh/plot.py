@@ -27,6 +27,7 @@ from grainmesh.fluid import Mesoscale
 from grainmesh.particles import Particles, settle
 from grainmesh.permeability import Permeability
 from grainmesh.resolved import Resolved
+from grainmesh.simulation import Simulation
 from grainmesh.triangulation import Triangulation, triangulate
 
 Float = NDArray[np.float64]
@@ -89,6 +90,31 @@ def mesh(triangulation: Triangulation, ax: Axes | None = None) -> Axes:
     ax.scatter(grain[0], grain[1], s=size, color=EDGE, lw=0, zorder=3)
     ax.scatter(
         node[0], node[1], s=3 * size + 3, color=NODE, marker="s", lw=0, zorder=3, clip_on=False
+    )
+    return ax
+
+
+def chains(simulation: Simulation, ax: Axes | None = None) -> Axes:
+    """Normal forces as lines through the contacts, as thick as the force is strong.
+
+    Parameters
+    ----------
+    simulation : Simulation
+    ax : matplotlib.axes.Axes, optional
+    """
+    box, particles, contacts = simulation.model.box, simulation.particles, simulation.contacts
+    ax = _frame(box, ax)
+    if len(contacts) == 0:
+        return ax
+    i, j = np.searchsorted(simulation.ids, contacts.pair).T
+    r, x, out = particles.radius, particles.x, contacts.normal
+    # One line from each centre to the contact, so that none crosses a periodic box.
+    ends = np.vstack([x[i] + r[i, None] * out, x[j] - r[j, None] * out])
+    lines = np.stack([np.vstack([x[i], x[j]]), ends], axis=1)
+    strong = np.quantile(contacts.force, 0.99)
+    width = 120.0 / np.sqrt(len(particles)) * np.clip(contacts.force / strong, 0.02, 1.5)
+    ax.add_collection(
+        LineCollection(list(lines), colors=MESH, linewidths=np.tile(width, 2), capstyle="round")
     )
     return ax
 
@@ -288,4 +314,4 @@ def _tiled(box: Box, centre: Float, reach: Float) -> tuple[Float, Float, NDArray
     return place[near], reach[which], which
 
 
-__all__ = ["bars", "discs", "mesh", "overview", "sample", "save", "speed"]
+__all__ = ["bars", "chains", "discs", "mesh", "overview", "sample", "save", "speed"]
