@@ -107,10 +107,10 @@ def living(box: Box, x: Float, radius: Float) -> Living:
     """
     mesh, weight = enclose(box, Particles(x, 2.0 * radius))
     points, shifts = np.array(mesh.points), np.array(mesh.shifts)
+    points[: len(x)] = x
     if box.periodic:
         # The mesh holds wrapped points: x = points + cell * size.
         cell = np.round((x - mesh.points) / box.size).astype(np.int32)
-        points = np.array(x)
         shifts = shifts - cell[mesh.triangles]
     found = Living(box, points, weight, np.array(mesh.triangles), np.array(mesh.neighbours), shifts)
     # Made with a tiny strain, it is within a few flips of the exact one.

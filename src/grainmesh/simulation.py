@@ -59,11 +59,20 @@ from grainmesh.motion import (
 from grainmesh.pairs import Memory, Near
 from grainmesh.particles import Particles
 from grainmesh.progress import bar
-from grainmesh.start import MOST_AT_START, law_of, refuse_overlap, rows, state_of, step_of
+from grainmesh.start import (
+    FARTHEST,
+    MOST_AT_START,
+    law_of,
+    refuse_fast_walls,
+    refuse_overlap,
+    rows,
+    state_of,
+    step_of,
+)
 from grainmesh.walls import table
 
 Float = NDArray[np.float64]
-Int = NDArray[np.int32]
+Int = NDArray[np.int64]
 
 #: Ways are for so many steps at the present speed, but not below this share of the least radius.
 LASTS, THINNEST = 150, 0.01
@@ -115,6 +124,9 @@ class Simulation:
         self._law = law_of(model)
         self._walls = table(model.all_walls, model.contact.friction)
         self._moved = np.zeros((len(self._walls), 6))
+        refuse_fast_walls(
+            model.all_walls, motion.speeds(self._walls), self.dt, particles.radius.min()
+        )
         motion.move_walls(self._walls, self._moved, 0.0)
         self._books = np.zeros(9 if ledger else 0)
         self._mesh = living(model.box, particles.x, particles.radius)
@@ -314,9 +326,10 @@ class Simulation:
                         self._force_outside()
                     motion.forces(*self._state())
             except BaseException as fault:
+                when = self.t
                 self._restore(good)
                 if isinstance(fault, InputError):
-                    raise RunError(f"{fault} (at t = {self.t:g} s)") from None
+                    raise RunError(f"{fault} (at t = {when:g} s)") from None
                 raise
             tell(self.step)
 
@@ -344,7 +357,7 @@ class Simulation:
         given = (
             force(self.t, self.x, self._users(self._s[:, [VX, VY]])) if callable(force) else force
         )
-        value = rows("force from outside", given, len(self))
+        value = rows("force from outside", given, len(self), ids=self.ids)
         self._p[np.ix_(self._rank, [EX, EY])] = value
 
     def _copy(self) -> tuple[Any, ...]:
@@ -374,12 +387,12 @@ class Simulation:
         """Triangulation and lists for the present places."""
         began = perf_counter()
         speed = np.hypot(self._s[:, HX], self._s[:, HY])
-        if speed.max() * self.dt > pairs.WAY * self._s[:, R].min():
-            i = int(np.argmax(speed))
+        i, farthest = int(np.argmax(speed)), FARTHEST * self._s[:, R].min()
+        if speed[i] * self.dt > farthest:
             raise RunError(
                 f"particle {self._slot[i]} has become too fast, {speed[i]:.3g} m/s, for the step "
                 f"of {self.dt:.3g} s at t = {self.t:g} s: at most "
-                f"{below(pairs.WAY * self._s[:, R].min() / speed[i])} s (Model(dt=...))"
+                f"{below(farthest / speed[i])} s (Model(dt=...))"
             )
         discs, walls = pairs.memory(self._pairs), pairs.memory(self._touch)
         stay = self._stay()

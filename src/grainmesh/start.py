@@ -11,11 +11,16 @@ from grainmesh.model import Model
 from grainmesh.motion import HS, HX, HY, IJ, IM, VS, VX, VY, R
 from grainmesh.pairs import WAY
 from grainmesh.particles import Particles, close_pairs
+from grainmesh.walls import Wall
 
 Float = NDArray[np.float64]
+Int = NDArray[np.int64]
 
 #: Most overlap of discs, or of a disc and a wall, at the start, in (smaller) radii.
 MOST_AT_START = 0.05
+#: Longest way of a disc or wall in one step, in smallest radii: then none jumps over another, and
+#: overlaps that grow until the next upkeep do not pass a radius, so that edges show them (`pairs`).
+FARTHEST = 0.5 * WAY
 
 
 def state_of(
@@ -29,26 +34,32 @@ def state_of(
     p[:, IM], p[:, IJ] = 1.0 / mass, 2.0 / mass  # I = m r²/2
     s[:, [HX, HY]] = rows("velocity", velocity, n)
     s[:, HS] = radius * rows("spin", spin, n, width=None)
-    fast = np.flatnonzero(np.hypot(s[:, HX], s[:, HY]) * dt > WAY * radius.min())
-    if len(fast):
-        i, speed = fast[0], float(np.hypot(*s[fast[0], [HX, HY]]))
+    speed = np.hypot(s[:, HX], s[:, HY])
+    i, farthest = int(np.argmax(speed)), FARTHEST * radius.min()
+    if speed[i] * dt > farthest:
         raise InputError(
-            f"particle {i} is too fast, {speed:.3g} m/s, for the step of {dt:.3g} s: at most "
-            f"{below(WAY * radius.min() / speed)} s (Model(dt=...)), or check its unit"
+            f"particle {i} is too fast, {speed[i]:.3g} m/s, for the step of {dt:.3g} s: at most "
+            f"{below(farthest / speed[i])} s (Model(dt=...)), or check its unit"
         )
     s[:, [VX, VY, VS]] = s[:, [HX, HY, HS]]
     return s, p
 
 
-def rows(name: str, given: ArrayLike, n: int, width: int | None = 2) -> Float:
-    """Numbers as (n, 2), from (n, 2) or (2,), or with no width as (n,), from (n,) or a scalar."""
+def rows(
+    name: str, given: ArrayLike, n: int, width: int | None = 2, ids: Int | None = None
+) -> Float:
+    """Numbers as (n, 2), from (n, 2) or (2,), or with no width as (n,), from (n,) or a scalar.
+
+    `ids` (n,) are the numbers of the particles, if not 0 to n - 1.
+    """
     one, many = (() if width is None else (width,)), ((n,) if width is None else (n, width))
     value = np.asarray(given, dtype=float)
     if value.shape not in (one, many):
         raise InputError(f"{name} needs shape {many} or {one}, got {value.shape}")
     bad = np.flatnonzero(~np.isfinite(np.broadcast_to(value, many)).reshape(n, -1).all(axis=1))
     if len(bad):
-        raise InputError(f"{name} of particle {bad[0]} is not finite")
+        who = bad[0] if ids is None else ids[bad[0]]
+        raise InputError(f"{name} of particle {who} is not finite")
     return np.broadcast_to(value, many)
 
 
@@ -75,6 +86,16 @@ def step_of(model: Model, particles: Particles) -> float:
     return model.dt
 
 
+def refuse_fast_walls(walls: tuple[Wall, ...], speeds: Float, dt: float, least: float) -> None:
+    """Raise if a wall moves too far in a step of `dt`; `least` is the smallest radius [m]."""
+    for wall, speed in zip(walls, speeds, strict=True):
+        if speed * dt > FARTHEST * least:
+            raise InputError(
+                f"the wall from {wall.start} to {wall.end} is too fast, {speed:.3g} m/s, for the "
+                f"step of {dt:.3g} s: at most {below(FARTHEST * least / speed)} s (Model(dt=...))"
+            )
+
+
 def refuse_overlap(model: Model, particles: Particles) -> None:
     """Raise if discs overlap by more than `MOST_AT_START`."""
     r = particles.radius
@@ -93,4 +114,13 @@ def refuse_overlap(model: Model, particles: Particles) -> None:
         )
 
 
-__all__ = ["MOST_AT_START", "law_of", "refuse_overlap", "rows", "state_of", "step_of"]
+__all__ = [
+    "FARTHEST",
+    "MOST_AT_START",
+    "law_of",
+    "refuse_fast_walls",
+    "refuse_overlap",
+    "rows",
+    "state_of",
+    "step_of",
+]
