@@ -58,12 +58,21 @@ class Model:
     dt: float | None = None
 
     def __post_init__(self) -> None:
-        gravity = tuple(float(g) for g in self.gravity)
+        for name, kind in (("box", Box), ("contact", Contact)):
+            if not isinstance(getattr(self, name), kind):
+                raise InputError(f"model: {name} must be a grainmesh.{kind.__name__}")
+        try:
+            gravity = tuple(float(g) for g in self.gravity)
+        except (TypeError, ValueError):
+            raise InputError(f"model: gravity {self.gravity!r} must be two numbers") from None
         if len(gravity) != 2 or not all(isfinite(g) for g in gravity):
             raise InputError(f"model: gravity {gravity} must be two finite numbers [m/s2]")
         object.__setattr__(self, "gravity", gravity)
         sides = (self.open,) if isinstance(self.open, str) else tuple(self.open)
         walls = (self.walls,) if isinstance(self.walls, Wall) else tuple(self.walls)
+        for wall in walls:
+            if not isinstance(wall, Wall):
+                raise InputError(f"model: {wall!r} among the walls must be a grainmesh.Wall")
         object.__setattr__(self, "open", sides)
         object.__setattr__(self, "walls", walls)
         for side in sides:

@@ -132,8 +132,8 @@ class Simulation:
         self._mesh = living(model.box, particles.x, particles.radius)
         empty = pairs.nothing(9 if ledger else 2 if model.contact.rolling > 0.0 else 1)
         self._sort(empty, empty)
-        depth = wall_overlaps(self._s, self._touch, self._walls, self._moved)[0]
-        share = depth / self._s[self._touch.owner, R]
+        stuck = wall_overlaps(self._s, self._touch, self._walls, self._moved)[0]
+        share = stuck / self._s[self._touch.owner, R]
         if len(share) and share.max() > MOST_AT_START:
             e = int(np.argmax(share))
             raise InputError(
@@ -142,11 +142,20 @@ class Simulation:
                 f"radius, {100 * MOST_AT_START:g} % is taken at the start: move it inside "
                 "(grainmesh.relax does)"
             )
+        depth, who = self._deepest()
+        if depth > pairs.DEEPEST:
+            raise InputError(
+                f"{who} overlap by {100 * depth:.3g} % of the smallest radius, at most "
+                f"{100 * pairs.DEEPEST:g} % can be followed: move them apart (grainmesh.relax does)"
+            )
         try:
-            if self._stay() is not None:
-                raise RunError("a particle lies outside the box at the start: drop it")
+            stay = self._stay()
         except RunError as fault:
             raise InputError(str(fault)) from None
+        if stay is not None:
+            raise InputError(
+                f"particle {self._slot[~stay].min()} lies outside the box at the start: drop it"
+            )
         self._force_outside()
         self._p[:, [OX, OY]] = self._p[:, [EX, EY]]
         motion.forces(*self._state())

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import pi, sqrt
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -53,7 +55,10 @@ def rows(
     `ids` (n,) are the numbers of the particles, if not 0 to n - 1.
     """
     one, many = (() if width is None else (width,)), ((n,) if width is None else (n, width))
-    value = np.asarray(given, dtype=float)
+    try:
+        value = np.asarray(given, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} must be numbers of shape {many} or {one}") from None
     if value.shape not in (one, many):
         raise InputError(f"{name} needs shape {many} or {one}, got {value.shape}")
     bad = np.flatnonzero(~np.isfinite(np.broadcast_to(value, many)).reshape(n, -1).all(axis=1))
@@ -75,7 +80,10 @@ def step_of(model: Model, particles: Particles) -> float:
     mass = np.sort(particles.density * np.pi * particles.diameter**2 / 4.0)
     pair = mass[0] * mass[min(1, len(mass) - 1)] / (mass[0] + mass[min(1, len(mass) - 1)])
     model.contact.contact_time(mass[-1])  # the heaviest, on a wall, is damped most
-    shortest = model.contact.contact_time(pair)
+    # Strong damping makes contacts longer, but not the step that can be taken.
+    shortest = min(
+        model.contact.contact_time(pair), 1.5 * pi * sqrt(pair / model.contact.stiffness)
+    )
     if model.dt is None:
         return shortest / STEPS
     if model.dt > shortest / FEWEST_STEPS:
