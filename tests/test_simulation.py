@@ -552,3 +552,30 @@ def test_what_a_user_sees_is_in_the_order_of_the_user():
     assert simulation.particles.density == close(particles.density, rel=1e-14)
     assert simulation.ids.tolist() == list(range(n))
     assert simulation.spin == close(spin, rel=1e-9)  # without friction nothing turns them
+
+
+# A heap ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_column_that_collapses_runs_out_less_far_the_rougher_its_discs(seed):
+    n, d = 300, np.random.default_rng(seed).uniform(0.008, 0.012, 300)
+    rough = ((0.05, 0.0), (0.1, 0.0), (0.5, 0.0), (0.5, 0.1), (0.5, 0.3))
+    narrow, wide = gm.Box(0.15, 0.6), gm.Box(3.0, 0.6)
+    particles = gm.arrange.loose(narrow, n, diameter=d, seed=seed, density=1000.0)
+    law = gm.Contact(1e6, restitution=0.3, friction=0.5)
+    column = gm.Simulation(gm.Model(narrow, law), particles).run(0.6)
+    height, reach, mound = column.measure()["height"], [], []
+    for friction, rolling in rough:
+        law = gm.Contact(1e6, restitution=0.3, friction=friction, rolling=rolling)
+        heap = gm.Simulation(gm.Model(wide, law), column.particles).run(1.2)
+        reach.append(np.quantile(heap.x[:, 0], 0.95))
+        mound.append(np.quantile(heap.x[:, 1], 0.95))
+        assert heap.measure()["flips"] > 1000
+        same(heap.contacts, all_overlaps(heap), 1e-12)
+    assert (np.diff(reach) < 0.0).all()
+    assert (np.diff(mound) > 0.0).all()
+    assert reach[0] > 2.0 * reach[-1]
+    assert reach[-1] > 1.2 * narrow.width  # and yet it has collapsed
+    assert mound[-1] < 0.8 * height
