@@ -11,8 +11,9 @@ from scipy.spatial import Delaunay
 from grainmesh.cells import cells
 from grainmesh.domain import SIDES, Box
 from grainmesh.errors import InputError
+from grainmesh.flips import repair
 from grainmesh.particles import MAX_OVERLAP, Particles, settle
-from grainmesh.triangulation import WALL_LAYER, triangulate
+from grainmesh.triangulation import WALL_LAYER, enclose, triangulate
 
 close = partial(pytest.approx, abs=0.0)
 
@@ -387,3 +388,65 @@ def test_results_are_read_only():
     for name in ("points", "triangles", "edges", "edge_shifts", "gaps", "areas", "neighbours"):
         with pytest.raises(ValueError, match="read-only"):
             getattr(mesh, name)[0] = 0
+
+
+# Particles anywhere --------------------------------------------------------------------------
+
+
+@given(**any_case)
+@settings(deadline=None)
+def test_enclosed_particles_are_all_vertices_of_a_power_triangulation(
+    n, seed, aspect, spread, periodic
+):
+    box, particles = case(n, seed, aspect, spread, periodic)
+    mesh, weight = enclose(box, particles)
+    k = len(particles)
+    np.testing.assert_array_equal(weight[:k], particles.radius**2)
+    assert (weight[k:] == 0.0).all()
+    assert (mesh.areas > 0.0).all()
+    assert set(range(k)) <= set(mesh.triangles.ravel().tolist())
+    if periodic:
+        assert len(mesh.points) == k
+        assert mesh.areas.sum() == close(box.area, rel=1e-12)
+        assert len(mesh.triangles) == 2 * k
+    else:
+        # A rectangle with room on all sides, which the box does not limit.
+        low, high = mesh.points[k:].min(axis=0), mesh.points[k:].max(axis=0)
+        assert mesh.areas.sum() == close((high - low).prod(), rel=1e-12)
+        room = 4.0 * particles.diameter.max()
+        assert (mesh.points[:k].min(axis=0) - low >= 0.999 * room).all()
+        assert (high - mesh.points[:k].max(axis=0) >= 0.999 * room).all()
+        assert mesh.points[:k] == pytest.approx(particles.x, abs=1e-12 * np.abs(high - low).max())
+    # No vertex reaches into the power circle of a triangle.
+    period = box.size if periodic else np.zeros(2)
+    arrays = [np.array(a) for a in (mesh.triangles, mesh.neighbours, mesh.shifts)]
+    flips, inverted, ok = repair(np.array(mesh.points), weight, period, *arrays)
+    assert (inverted, ok) == (0, True)
+    assert flips <= 2  # ties, told apart by a tiny strain
+
+
+@given(**any_case)
+@settings(deadline=None)
+def test_enclosed_particles_that_touch_are_joined(n, seed, aspect, spread, periodic):
+    box, particles = case(n, seed, aspect, spread, periodic)
+    mesh, _ = enclose(box, particles)
+    i, j = np.triu_indices(len(particles), 1)
+    distance = np.hypot(*box.separation(particles.x[i], particles.x[j]).T)
+    touch = distance < particles.radius[i] + particles.radius[j]
+    pairs = set(zip(i[touch].tolist(), j[touch].tolist(), strict=True))
+    assert pairs <= rows(mesh.edges)
+
+
+def test_enclosed_particles_may_be_far_outside_the_box():
+    box = Box(1.0, 1.0)
+    particles = Particles([[50.0, -20.0], [50.3, -20.0], [50.1, -19.8]], 0.1)
+    mesh, _ = enclose(box, particles)
+    assert {(0, 1), (0, 2), (1, 2)} <= rows(mesh.edges)
+    alone, weight = enclose(box, Particles([[3.0, 3.0]], 0.5))
+    assert (weight > 0.0).tolist() == [True] + [False] * (len(weight) - 1)
+    assert (alone.areas > 0.0).all()
+
+
+def test_hidden_particles_cannot_be_enclosed():
+    with pytest.raises(InputError, match="particle 1 is hidden"):
+        enclose(Box(1.0, 1.0), Particles([[0.5, 0.5], [0.51, 0.5], [0.2, 0.2]], [0.5, 0.1, 0.1]))
