@@ -1,16 +1,18 @@
 """A simulation in a file, whole: what goes on from it equals what would have gone on, bit by bit.
 
-The file is HDF5, written under another name and then renamed, with a checksum over all of it. It
-holds numbers and the text of the model, nothing that could be executed; a force that is a function
-must be given again.
+The file is HDF5 behind a block with a checksum of it, written under another name and then renamed.
+It holds numbers and the text of the model, nothing that could be executed; a force that is a
+function must be given again.
 """
 
 from __future__ import annotations
 
 import json
 import os
+from contextlib import suppress
 from dataclasses import asdict
 from hashlib import sha256
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +26,7 @@ from grainmesh.errors import InputError
 from grainmesh.model import Model
 from grainmesh.walls import Wall
 
-NAME, FORMAT = "checkpoint.h5", "grainmesh checkpoint 1"
+NAME, FORMAT, BLOCK = "checkpoint.h5", "grainmesh checkpoint 1", 512
 FUNCTION = "function"
 
 Arrays = dict[str, NDArray[Any]]
@@ -52,17 +54,20 @@ def write(folder: str | Path, model: Model, numbers: dict[str, Any], arrays: Arr
     force: Any = FUNCTION if callable(model.force) else None
     if model.force is not None and force is None:
         force = np.asarray(model.force, dtype=float).tolist()
+    memory = BytesIO()
+    with h5py.File(memory, "w", userblock_size=BLOCK) as file:
+        file["model"] = json.dumps(_fields(model) | {"force": force})
+        file["numbers"] = json.dumps(numbers)
+        for name, array in arrays.items():
+            file[name] = array
+    data = memory.getvalue()[BLOCK:]
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with h5py.File(new, "w") as file:
-            texts = json.dumps(_fields(model) | {"force": force}), json.dumps(numbers)
-            file.attrs["format"], file.attrs["sha256"] = FORMAT, _digest(texts, arrays)
-            file["model"], file["numbers"] = texts
-            for name, array in arrays.items():
-                file[name] = array
+        new.write_bytes(_head(data) + data)
         os.replace(new, path)
     except OSError as fault:
-        new.unlink(missing_ok=True)
+        with suppress(OSError):
+            new.unlink()
         raise InputError(f"{path}: cannot be written ({fault}), choose another folder") from None
     return path
 
@@ -79,9 +84,11 @@ def read(folder: str | Path) -> tuple[Model, dict[str, Any], Arrays]:
     if not path.is_file():
         raise InputError(f"{path}: no such file: name the folder given as save=")
     try:
-        with h5py.File(path, "r") as file:
-            if file.attrs["format"] != FORMAT:
-                raise ValueError("unknown format")
+        whole = path.read_bytes()
+        # HDF5 itself can hang on a damaged file: it only sees one whose checksum is right.
+        if whole[:BLOCK] != _head(whole[BLOCK:]):
+            raise ValueError("its checksum differs")
+        with h5py.File(BytesIO(whole), "r") as file:
             texts = file["model"].asstr()[()], file["numbers"].asstr()[()]
             fields, numbers = map(json.loads, texts)
             arrays: Arrays = {}
@@ -92,8 +99,6 @@ def read(folder: str | Path) -> tuple[Model, dict[str, Any], Arrays]:
                     else None
                 )
             )
-            if file.attrs["sha256"] != _digest(texts, arrays):
-                raise ValueError("its checksum differs")
         fields["box"] = Box(**fields["box"])
         fields["contact"] = Contact(**fields["contact"])
         fields["walls"] = tuple(Wall(**wall) for wall in fields["walls"])
@@ -102,13 +107,9 @@ def read(folder: str | Path) -> tuple[Model, dict[str, Any], Arrays]:
         raise InputError(f"{path}: damaged or not a checkpoint ({fault})") from None
 
 
-def _digest(texts: tuple[str, str], arrays: Arrays) -> str:
-    """SHA-256 over all that is kept."""
-    digest = sha256("".join(texts).encode())
-    for name in sorted(arrays):
-        digest.update(f"{name} {arrays[name].dtype} {arrays[name].shape}".encode())
-        digest.update(np.ascontiguousarray(arrays[name]).tobytes())
-    return digest.hexdigest()
+def _head(data: bytes) -> bytes:
+    """The user block in front of the HDF5 data: format and checksum."""
+    return f"{FORMAT}\nsha256 {sha256(data).hexdigest()}\n".encode().ljust(BLOCK, b"\0")
 
 
 def _fields(model: Model) -> dict[str, Any]:

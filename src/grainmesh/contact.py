@@ -143,11 +143,11 @@ class Contact:
 
 
 @njit(cache=True, forceinline=True)
-def bond(o, un, vn, ut, vt, ur, vr, k, kt, c, ct, mass, mu, mur, q, qr, dt):  # type: ignore[no-untyped-def]
+def bond(o, un, vn, ut, vt, ur, vr, k, kt, pliant, c, ct, mass, mu, mur, q, qr, dt):  # type: ignore[no-untyped-def]
     """Forces of a contact with overlap `o`, Eqs. (1) to (3), (5).
 
     Speeds of approach (n), sliding (t) and rolling (r) are `u` over the step that ends now and `v`
-    now; `q` and `qr` are the springs a step ago.
+    now; `q` and `qr` are the springs a step ago, `pliant` is 1/k_t.
 
     Returns
     -------
@@ -160,10 +160,10 @@ def bond(o, un, vn, ut, vt, ur, vr, k, kt, c, ct, mass, mu, mur, q, qr, dt):  # 
     fd = c * vn
     fn = k * o + fd
     most = max(fn, 0.0)
-    ft, q = slide(q, vt, ut, kt, ct, mu * most, dt)
+    ft, q = slide(q, vt, ut, kt, pliant, ct, mu * most, dt)
     fr = 0.0
     if mur > 0.0:
-        fr, qr = slide(qr, vr, ur, kt, ct, mur * most, dt)
+        fr, qr = slide(qr, vr, ur, kt, pliant, ct, mur * most, dt)
     return fn, fd, ft, ft - ct * vt, fr, q, qr
 
 
@@ -186,22 +186,19 @@ def _begin_or_end(o, un, vn, ut, vt, ur, vr, k, kt, c, ct, mass, mu, mur, q, qr,
     fe = mass / dt * 2.0 * d / (b + sqrt(max(b * b - 4.0 * d, 0.0)))
     fn = fe + fd
     most = max(fn, 0.0)
-    ft, q = slide(q, vt, share * ut, kt, ct, mu * most, dt)
+    ft, q = slide(q, vt, share * ut, kt, 1.0 / kt, ct, mu * most, dt)
     fr = 0.0
     if mur > 0.0:
-        fr, qr = slide(qr, vr, share * ur, kt, ct, mur * most, dt)
+        fr, qr = slide(qr, vr, share * ur, kt, 1.0 / kt, ct, mur * most, dt)
     return fn, fd, ft, ft - ct * vt, fr, q, qr
 
 
 @njit(cache=True, forceinline=True)
-def slide(q, vt, ut, k, c, most, dt):  # type: ignore[no-untyped-def]
-    """Force and spring after a step, Eqs. (2), (3); `ut` is the speed over the step."""
-    q = q + ut * dt
-    f = k * q + c * vt
-    if abs(f) > most:
-        f = most if f > 0.0 else -most
-        q = (f - c * vt) / k
-    return f, q
+def slide(q, vt, ut, k, pliant, c, most, dt):  # type: ignore[no-untyped-def]
+    """Force and spring after a step, Eqs. (2), (3); `ut` is the speed over it, `pliant` 1/k."""
+    f = k * (q + ut * dt) + c * vt
+    f = min(max(f, -most), most)  # no branch: the loop over contacts cannot foretell it
+    return f, (f - c * vt) * pliant
 
 
 __all__ = ["FEWEST_STEPS", "STEPS", "Contact", "below", "bond"]

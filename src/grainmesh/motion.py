@@ -43,7 +43,7 @@ LEDGER = (
 DONE, STALE, BROKEN = range(3)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def advance(  # type: ignore[no-untyped-def]
     s, p, law, pairs, touch, walls, moved, offset, rolling, ledger, dt, seen, first, steps, pause
 ):
@@ -122,7 +122,7 @@ def advance(  # type: ignore[no-untyped-def]
     return steps, DONE
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def forces(s, p, law, pairs, touch, walls, moved, offset, rolling, ledger, dt):  # type: ignore[no-untyped-def]
     """Forces at the present places, with the work since the last step; arguments as `advance`."""
     top = 0.0
@@ -138,7 +138,7 @@ def forces(s, p, law, pairs, touch, walls, moved, offset, rolling, ledger, dt): 
         _work_outside(s, p, ledger, dt)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def farthest(s, moved, seen):  # type: ignore[no-untyped-def]
     """Largest way of a disc or wall since `seen`, in what it may move."""
     n, far = len(s), 0.0
@@ -151,14 +151,14 @@ def farthest(s, moved, seen):  # type: ignore[no-untyped-def]
     return sqrt(far)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def speeds(walls):  # type: ignore[no-untyped-def]
     """Greatest speed of each wall [m/s], (w,)."""
     swing = walls[:, OMEGA] * np.hypot(walls[:, SX], walls[:, SY])
     return np.hypot(walls[:, UX], walls[:, UY]) + swing
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def outside(s, low, high):  # type: ignore[no-untyped-def]
     """First disc wholly outside [low, high] (2,) [m], or -1."""
     for i in range(len(s)):
@@ -168,7 +168,7 @@ def outside(s, low, high):  # type: ignore[no-untyped-def]
     return -1
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def beyond(s, walls, moved):  # type: ignore[no-untyped-def]
     """First disc with its centre behind a side of the box, and which wall it is, or -1, -1."""
     for w in range(len(walls)):
@@ -181,7 +181,7 @@ def beyond(s, walls, moved):  # type: ignore[no-untyped-def]
     return -1, -1
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def move_walls(walls, moved, time):  # type: ignore[no-untyped-def]
     """How far the walls have moved by a time [s], and their velocity, `walls` Eq. (1)."""
     for w in range(len(walls)):
@@ -192,68 +192,61 @@ def move_walls(walls, moved, time):  # type: ignore[no-untyped-def]
             moved[w, 4 + c] = u + omega * size * cos(omega * time)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _pair_forces(s, law, near, offset, rolling, ledger, dt, lead):  # type: ignore[no-untyped-def]
-    start, other, damping, mass, old = near.start, near.other, near.damping, near.mass, near.history
+    owner, other, damping, mass, old = near.owner, near.other, near.damping, near.mass, near.history
     k, kt, ratio, mu = law[0], law[1], law[2], law[3]
-    for i in range(len(s)):
-        x, y, r = s[i, X], s[i, Y], s[i, R]
-        fx, fy, torque = 0.0, 0.0, 0.0
-        for e in range(start[i], start[i + 1]):
-            j = other[e]
-            dx, dy = s[j, X] - x, s[j, Y] - y
-            if offset is not None:
-                dx, dy = dx + offset[e, 0], dy + offset[e, 1]
-            reach = r + s[j, R]
-            dd = dx * dx + dy * dy
-            if ledger is None and dd >= (reach + lead) ** 2:
-                old[e, Q] = 0.0
-                if rolling is not None:
-                    old[e, QR] = 0.0
-                continue
-            distance = sqrt(dd)
-            inverse = 1.0 / distance
-            nx, ny, o = dx * inverse, dy * inverse, reach - distance
-            hx, hy = s[i, HX] - s[j, HX], s[i, HY] - s[j, HY]
-            vx, vy = s[i, VX] - s[j, VX], s[i, VY] - s[j, VY]
-            un, vn = hx * nx + hy * ny, vx * nx + vy * ny
-            ht = hy * nx - hx * ny
-            turn = 0.5 * ht * un * dt * inverse  # by half of the turn of n in the step
-            ut = ht - turn + s[i, HS] + s[j, HS]
-            vt = vy * nx - vx * ny + s[i, VS] + s[j, VS]
-            a = ur = vr = qr = mur = 0.0
+    pliant = 1.0 / kt
+    for e in range(len(other)):  # one loop over all pairs: rows are too short to be loops
+        i, j = owner[e], other[e]
+        dx, dy = s[j, X] - s[i, X], s[j, Y] - s[i, Y]
+        if offset is not None:
+            dx, dy = dx + offset[e, 0], dy + offset[e, 1]
+        reach = s[i, R] + s[j, R]
+        dd = dx * dx + dy * dy
+        if ledger is None and dd >= (reach + lead) ** 2:
+            old[e, Q] = 0.0
             if rolling is not None:
-                mur = rolling
-                a, qr = r * s[j, R] / reach, old[e, QR]
-                ur = a * (s[i, HS] / r - s[j, HS] / s[j, R])
-                vr = a * (s[i, VS] / r - s[j, VS] / s[j, R])
-            c = damping[e]
-            fn, fd, ft, fs, fr, q, qr = bond(
-                o, un, vn, ut, vt, ur, vr, k, kt, c, ratio * c, mass[e], mu, mur,
-                old[e, Q], qr, dt,
-            )  # fmt: skip
-            if ledger is not None:
-                _book(
-                    old[e], o, fd, ft - fs, fs, fr, q, qr, ut * dt, turn * dt, ur * dt, kt, ledger
-                )
-            old[e, Q] = q
-            if rolling is not None:
-                old[e, QR] = qr
-                torque -= fr * a / r
-                s[j, T] += fr * a / s[j, R]
-            px, py = fn * nx - ft * ny, fn * ny + ft * nx
-            fx -= px
-            fy -= py
-            torque -= ft
-            s[j, FX] += px
-            s[j, FY] += py
-            s[j, T] -= ft
-        s[i, FX] += fx
-        s[i, FY] += fy
-        s[i, T] += torque
+                old[e, QR] = 0.0
+            continue
+        distance = sqrt(dd)
+        inverse = 1.0 / distance
+        nx, ny, o = dx * inverse, dy * inverse, reach - distance
+        hx, hy = s[i, HX] - s[j, HX], s[i, HY] - s[j, HY]
+        vx, vy = s[i, VX] - s[j, VX], s[i, VY] - s[j, VY]
+        un, vn = hx * nx + hy * ny, vx * nx + vy * ny
+        ht = hy * nx - hx * ny
+        turn = 0.5 * ht * un * dt * inverse  # by half of the turn of n in the step
+        ut = ht - turn + s[i, HS] + s[j, HS]
+        vt = vy * nx - vx * ny + s[i, VS] + s[j, VS]
+        a = ur = vr = qr = mur = 0.0
+        if rolling is not None:
+            mur, qr = rolling, old[e, QR]
+            a = s[i, R] * s[j, R] / reach
+            ur = a * (s[i, HS] / s[i, R] - s[j, HS] / s[j, R])
+            vr = a * (s[i, VS] / s[i, R] - s[j, VS] / s[j, R])
+        c = damping[e]
+        fn, fd, ft, fs, fr, q, qr = bond(
+            o, un, vn, ut, vt, ur, vr, k, kt, pliant, c, ratio * c, mass[e], mu, mur,
+            old[e, Q], qr, dt,
+        )  # fmt: skip
+        if ledger is not None:
+            _book(old[e], o, fd, ft - fs, fs, fr, q, qr, ut * dt, turn * dt, ur * dt, kt, ledger)
+        old[e, Q] = q
+        if rolling is not None:
+            old[e, QR] = qr
+            s[i, T] -= fr * a / s[i, R]
+            s[j, T] += fr * a / s[j, R]
+        px, py = fn * nx - ft * ny, fn * ny + ft * nx
+        s[i, FX] -= px
+        s[i, FY] -= py
+        s[i, T] -= ft
+        s[j, FX] += px
+        s[j, FY] += py
+        s[j, T] -= ft
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _wall_forces(s, law, near, walls, moved, rolling, ledger, dt, lead):  # type: ignore[no-untyped-def]
     start, damping, mass, old = near.start, near.damping, near.mass, near.history
     k, kt, ratio = law[0], law[1], law[2]
@@ -280,7 +273,8 @@ def _wall_forces(s, law, near, walls, moved, rolling, ledger, dt, lead):  # type
                 mur, qr = rolling, old[e, QR]
             c, mu = damping[e], walls[w, FRICTION]
             fn, fd, ft, fs, fr, q, qr = bond(
-                o, un, vn, ut, vt, s[i, HS], s[i, VS], k, kt, c, ratio * c, mass[e], mu, mur,
+                o, un, vn, ut, vt, s[i, HS], s[i, VS], k, kt, 1.0 / kt, c, ratio * c, mass[e],
+                mu, mur,
                 old[e, Q], qr, dt,
             )  # fmt: skip
             px, py = ft * ny - fn * nx, -fn * ny - ft * nx
@@ -313,7 +307,7 @@ def _wall_forces(s, law, near, walls, moved, rolling, ledger, dt, lead):  # type
             s[i, T] -= ft + fr
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _book(row, o, fd, fdt, fs, fr, q, qr, slid, turn, rolled, kt, ledger):  # type: ignore[no-untyped-def]
     """Work of a contact since the last step, Eq. (3), written into the ledger."""
     before, now = 0.5 * (slid - turn), 0.5 * (slid + turn)  # along the tangents of then and now
@@ -342,7 +336,7 @@ def to_wall(s, i, near, e, walls, moved):  # type: ignore[no-untyped-def]
     return s[i, R] - distance, -dx / distance, -dy / distance, at_end
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def held(s, i, near, e, o, walls, moved):  # type: ignore[no-untyped-def]
     """Whether the wall end that entry e touches lies on another wall that holds disc i as much."""
     _, nx, ny, _ = to_wall(s, i, near, e, walls, moved)
@@ -362,7 +356,7 @@ def held(s, i, near, e, o, walls, moved):  # type: ignore[no-untyped-def]
     return False
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _work_outside(s, p, ledger, dt):  # type: ignore[no-untyped-def]
     for i in range(len(s)):
         jx, jy = 0.5 * dt * (p[i, EX] + p[i, OX]), 0.5 * dt * (p[i, EY] + p[i, OY])

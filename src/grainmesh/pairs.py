@@ -44,26 +44,22 @@ BLOCK = 64
 
 
 class Near(NamedTuple):
-    """Rows of near partners, one row a disc.
+    """Near partners, sorted by the disc that owns the entry.
 
-    Entries ``start[i]:start[i + 1]`` belong to disc i: `other` (l,) is a disc j > i or a wall,
-    `image` (l, 2) its periodic image relative to that of i, `offset` (l, 2) the same in metres
-    [m], `damping` (l,) is c [kg/s], `mass` (l,) the effective mass [kg], and `history` (l, h) what
-    the contact remembers (`motion`).
+    Entries ``start[i]:start[i + 1]`` have disc i as `owner` (l,); `other` (l,) is a disc j > i or a
+    wall, `image` (l, 2) its periodic image relative to that of i, `offset` (l, 2) the same in
+    metres [m], `damping` (l,) is c [kg/s], `mass` (l,) the effective mass [kg], and `history`
+    (l, h) what the contact remembers (`motion`).
     """
 
     start: NDArray[np.int64]
+    owner: Int
     other: Int
     image: Int
     offset: Float
     damping: Float
     mass: Float
     history: Float
-
-    @property
-    def owner(self) -> Int:
-        """Disc that owns each entry, (l,)."""
-        return np.repeat(np.arange(len(self.start) - 1, dtype=np.int32), np.diff(self.start))
 
 
 class Memory(NamedTuple):
@@ -112,9 +108,9 @@ def near_discs(
         mesh.points, radius, mesh.period, ways, mesh.triangles, mesh.neighbours, mesh.shifts
     )
     history = remember(*old, start, other, image)
-    a, b = np.repeat(mass, np.diff(start)), mass[other]
-    m = a * b / (a + b)
-    return Near(start, other, image, image * mesh.period, contact.coefficient(m), m, history)
+    owner = _owners(start)
+    m = mass[owner] * mass[other] / (mass[owner] + mass[other])
+    return Near(start, owner, other, image, image * mesh.period, contact.coefficient(m), m, history)
 
 
 def near_walls(
@@ -130,8 +126,13 @@ def near_walls(
     """The same for walls, `ways` (n + w,); `walls` and `moved` as in `motion.advance`."""
     start, other, image = walls_closer(mesh.points, radius, mesh.period, ways, walls, moved)
     history = remember(*old, start, other, image)
-    m = np.repeat(mass, np.diff(start))
-    return Near(start, other, image, image * mesh.period, contact.coefficient(m), m, history)
+    owner = _owners(start)
+    m = mass[owner]
+    return Near(start, owner, other, image, image * mesh.period, contact.coefficient(m), m, history)
+
+
+def _owners(start: NDArray[np.int64]) -> Int:
+    return np.repeat(np.arange(len(start) - 1, dtype=np.int32), np.diff(start))
 
 
 @njit(cache=True)

@@ -13,7 +13,7 @@ from grainmesh.particles import Particles, close_pairs
 from grainmesh.walls import table
 
 #: Overlap that may stay, in smaller radii, and rounds to get there.
-SMALL, ROUNDS = 1e-3, 2000
+SMALL, ROUNDS = 1e-2, 2000
 
 
 def relax(model: Model, particles: Particles) -> Particles:
@@ -56,15 +56,16 @@ def relax(model: Model, particles: Particles) -> Particles:
         overlap = r[i] + r[j] - np.where(same, 0.0, distance)
         start, wall, image = walls_closer(x, r, period, still, walls, moved)
         none = np.zeros((len(wall), 1))
-        near = Near(start, wall, image, image * period, none[:, 0], none[:, 0], none)
+        owner = np.repeat(np.arange(len(r), dtype=np.int32), np.diff(start))
+        near = Near(start, owner, wall, image, image * period, none[:, 0], none[:, 0], none)
         state[:, :2] = x
         depth, normal = wall_overlaps(state, near, walls, moved)
-        owner = near.owner
         share = np.concatenate([overlap / np.minimum(r[i], r[j]), depth / r[owner]])
         worst = float(share.max(initial=0.0))
         if worst <= SMALL:
             return Particles(x, particles.diameter, particles.density)
-        push = (0.5 * overlap / distance)[:, None] * away
+        # A little too far, or many discs in a pile would take for ever.
+        push = (0.5 * (overlap + 0.5 * SMALL * r.min()) / distance)[:, None] * away
         np.add.at(x, j, push)
         np.add.at(x, i, -push)
         np.add.at(x, owner, -np.maximum(depth, 0.0)[:, None] * normal)

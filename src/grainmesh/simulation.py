@@ -22,7 +22,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from grainmesh import checkpoint, motion, pairs
 from grainmesh.cells import wrapped
-from grainmesh.contact import below
 from grainmesh.domain import SIDES
 from grainmesh.errors import InputError, RunError
 from grainmesh.living import Living, living
@@ -68,6 +67,7 @@ from grainmesh.start import (
     rows,
     state_of,
     step_of,
+    stiffness_for,
 )
 from grainmesh.walls import table
 
@@ -382,7 +382,10 @@ class Simulation:
             links, springs, touch, more, self._slot, self._rank, self._seen,
         ) = good  # fmt: skip
         self._pairs, self._touch = links._replace(history=springs), touch._replace(history=more)
+        old = self._mesh
         self._mesh = living(self.model.box, self._s[:, :2].copy(), self._s[:, R].copy())
+        self._mesh.flips += old.flips
+        self._mesh.inverted, self._mesh.made = old.inverted, old.made + 1
 
     def _blame(self) -> None:
         """Say which particle broke."""
@@ -399,9 +402,9 @@ class Simulation:
         i, farthest = int(np.argmax(speed)), FARTHEST * self._s[:, R].min()
         if speed[i] * self.dt > farthest:
             raise RunError(
-                f"particle {self._slot[i]} has become too fast, {speed[i]:.3g} m/s, for the step "
-                f"of {self.dt:.3g} s at t = {self.t:g} s: at most "
-                f"{below(farthest / speed[i])} s (Model(dt=...))"
+                f"particle {self._slot[i]} has become too fast, {speed[i]:.3g} m/s, for its "
+                f"contacts at t = {self.t:g} s: raise the stiffness, to "
+                f"{stiffness_for(speed[i], 1.0 / self._p[i, IM], self._s[:, R].min())} N/m perhaps"
             )
         discs, walls = pairs.memory(self._pairs), pairs.memory(self._touch)
         stay = self._stay()

@@ -40,11 +40,16 @@ def state_of(
     i, farthest = int(np.argmax(speed)), FARTHEST * radius.min()
     if speed[i] * dt > farthest:
         raise InputError(
-            f"particle {i} is too fast, {speed[i]:.3g} m/s, for the step of {dt:.3g} s: at most "
-            f"{below(farthest / speed[i])} s (Model(dt=...)), or check its unit"
+            f"particle {i} is too fast, {speed[i]:.3g} m/s, for its contacts: check the unit, or "
+            f"raise the stiffness, to {stiffness_for(speed[i], mass[i], radius.min())} N/m perhaps"
         )
     s[:, [VX, VY, VS]] = s[:, [HX, HY, HS]]
     return s, p
+
+
+def stiffness_for(speed: float, mass: float, least: float) -> str:
+    """Stiffness [N/m] at which a disc that hits a wall overlaps by a tenth of the least radius."""
+    return f"{mass * (speed / (0.1 * least)) ** 2:.1g}"
 
 
 def rows(
