@@ -1,6 +1,7 @@
 """The contact law: closed forms of collisions, order in the step, Coulomb's bound, mistakes."""
 
 import importlib.util
+from inspect import signature
 from math import exp, log, pi, sqrt
 from pathlib import Path
 
@@ -131,19 +132,24 @@ def test_contact_time_of_the_undamped_pair():
 ONE = st.floats(-1.0, 1.0)
 
 
+def force(**values):
+    """`bond` by names, with a unit mass and c_t = c/2."""
+    values |= {"pliant": 1.0 / values["kt"], "ct": 0.5 * values["c"], "mass": 1.0}
+    return bond(*(values[name] for name in signature(bond.py_func).parameters))
+
+
 @settings(max_examples=300, deadline=None)
 @given(st.floats(0.2, 1.0), *[ONE] * 9, st.floats(0.0, 2.0), st.floats(1e-3, 2.0))
 def test_friction_and_rolling_stay_within_their_bounds(
     o, un, vn, ut, vt, ur, vr, q, qr, c, mu, mur
 ):
     """In contact, |f_t| <= mu f_n; with all tangents reversed, all tangential forces are."""
-    k, kt, c, mass, dt = 1.0, 0.3, abs(c), 1.0, 0.1
+    k, kt, c, dt = 1.0, 0.3, abs(c), 0.1
 
     def law(sign):
-        tangents = (sign * a for a in (ut, vt, ur, vr))
-        return bond(
-            o, un, vn, *tangents, k, kt, c, 0.5 * c, mass, mu, mur, sign * q, sign * qr, dt
-        )  # fmt: skip
+        speeds = {"un": un, "vn": vn, "ut": sign * ut, "vt": sign * vt}
+        rolls = {"ur": sign * ur, "vr": sign * vr, "q": sign * q, "qr": sign * qr}
+        return force(o=o, k=k, kt=kt, c=c, mu=mu, mur=mur, dt=dt, **speeds, **rolls)
 
     fn, fd, ft, _, fr, new, newr = law(1.0)
     most = max(fn, 0.0)
@@ -162,8 +168,9 @@ def test_friction_and_rolling_stay_within_their_bounds(
 
 
 def test_no_contact_no_force_and_no_memory():
-    speeds = (0.3, 0.3, 0.2, 0.2, 0.1, 0.1)
-    assert bond(-0.1, *speeds, 1.0, 0.3, 0.1, 0.1, 1.0, 0.5, 0.1, 2.0, 3.0, 0.1) == (0.0,) * 7
+    speeds = {"un": 0.3, "vn": 0.3, "ut": 0.2, "vt": 0.2, "ur": 0.1, "vr": 0.1}
+    law = {"k": 1.0, "kt": 0.3, "c": 0.1, "mu": 0.5, "mur": 0.1}
+    assert force(o=-0.1, q=2.0, qr=3.0, dt=0.1, **speeds, **law) == (0.0,) * 7
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ def marked(case):
     return case
 
 
-@pytest.mark.parametrize("case", map(marked, dem.CASES), ids=lambda case: case.__name__)
+@pytest.mark.parametrize("case", [*map(marked, dem.CASES)], ids=lambda case: case.__name__)
 def test_table_of_the_docs(case):
     for row in case():
         assert row.off <= row.within, row
