@@ -468,3 +468,64 @@ def test_walls_halve_the_discs_of_every_other_row(angle):
     assert solid.sum() == pytest.approx(0.3 * box.area, rel=1e-13)
     halved = (particles.x[:, 0] == 0.0) | (particles.x[:, 0] == box.width)
     np.testing.assert_allclose(solid, np.where(halved, 0.5, 1.0) * pi / 4, rtol=1e-13)
+
+
+# Loose discs, to fall ------------------------------------------------------------------------
+
+
+@given(
+    st.integers(1, 200),
+    st.floats(0.5, 3.0),
+    st.floats(0.01, 1.0),
+    st.integers(0, 1000),
+    st.sampled_from(["one", "bounds", "each"]),
+)
+@settings(deadline=None)
+def test_loose_discs_touch_neither_each_other_nor_the_walls(n, aspect, gap, seed, kind):
+    d = {"one": 0.1, "bounds": (0.05, 0.1), "each": np.linspace(0.05, 0.1, n)}[kind]
+    pitch = 0.1 * (1 + gap)
+    columns = max(1, round(sqrt(aspect * n)))
+    box = Box(columns * pitch * 1.001, -(-n // columns) * pitch * 1.001)
+    particles = arrange.loose(box, n, diameter=d, gap=gap, seed=seed, density=1234.0)
+    x, r = particles.x, particles.radius
+    assert len(particles) == n
+    assert (particles.density == 1234.0).all()
+    assert len(close_pairs(box, particles, 0.0)) == 0
+    assert (x > r[:, None]).all()
+    assert (x < box.size - r[:, None]).all()
+    if kind == "bounds" and n != 2:
+        assert (2 * r >= 0.05).all()
+        assert (2 * r <= 0.1).all()
+        assert n < 20 or np.ptp(r) > 0.01
+    else:
+        np.testing.assert_array_equal(particles.diameter, np.broadcast_to(d, (n,)))
+    again = arrange.loose(box, n, diameter=d, gap=gap, seed=seed)
+    np.testing.assert_array_equal(again.x, x)
+    other = arrange.loose(box, n, diameter=d, gap=gap, seed=seed + 1)
+    assert (other.x != x).any()
+
+
+def test_loose_discs_lie_low_row_upon_row():
+    particles = arrange.loose(Box(1.0, 100.0), 20, diameter=0.1, gap=0.25)
+    rows = particles.x[:, 1] / 0.125
+    np.testing.assert_array_equal(np.floor(rows), np.repeat([0, 1, 2], 8)[:20])
+
+
+def test_loose_discs_that_do_not_fit_are_refused_with_how_many_do():
+    box = Box(1.0, 1.0)
+    with pytest.raises(InputError, match="has room for 81") as error:
+        arrange.loose(box, 82, diameter=0.1, gap=0.1)
+    assert "\n" not in str(error.value)
+    assert len(arrange.loose(box, 81, diameter=0.1, gap=0.1)) == 81
+    with pytest.raises(InputError, match="has room for 0"):
+        arrange.loose(box, 1, diameter=1.0, gap=0.1)
+    for kind, message in (
+        ({"n": 0}, "n 0"),
+        ({"gap": 0.0}, "gap 0"),
+        ({"diameter": -0.1}, "diameter -0.1"),
+        ({"diameter": np.ones(3)}, "diameter needs one value or 5"),
+        ({"diameter": (0.1, float(NAN))}, "diameter"),
+        ({"density": 0.0}, "density 0"),
+    ):
+        with pytest.raises(InputError, match=message):
+            arrange.loose(box, **{"n": 5, "diameter": 0.1, **kind})

@@ -1,0 +1,189 @@
+"""Checkpoints: what is read is what was written, or is refused in one line."""
+
+import json
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pytest
+
+import grainmesh as gm
+from grainmesh import checkpoint
+
+BOX = gm.Box(1.0, 1.0)
+LAW = gm.Contact(1e6, friction=0.4, rolling=0.1)
+
+
+def a_run(folder, **kind):
+    """A few discs, with a history, contacts and a moving wall, in a file."""
+    rng = np.random.default_rng(0)
+    walls = (
+        gm.Wall.of(BOX, "bottom", amplitude=(0.0, 0.01), frequency=10.0, friction=0.9),
+        gm.Wall((0.2, 0.3), (0.7, 0.4), velocity=(0.01, 0.0)),
+    )
+    model = gm.Model(BOX, LAW, walls=walls, **{"open": ("top",), "escape": "remove", **kind})
+    particles = gm.relax(model, gm.Particles(rng.uniform(0, 1, (12, 2)), 0.12))
+    simulation = gm.Simulation(model, particles, rng.normal(0, 1, (12, 2)), ledger=True)
+    return simulation.run(0.2, every=0.05, save=folder)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run")
+    a_run(folder)
+    return folder
+
+
+def all_of(simulation):
+    """The whole state, private parts too, as bytes and text."""
+    mesh = simulation._mesh
+    arrays = [
+        *(getattr(simulation, "_" + name) for name in ("s", "p", "slot", "rank", "moved", "seen")),
+        simulation._books, simulation._law, simulation._walls,
+        *simulation._pairs, *simulation._touch,
+        mesh.points, mesh.weight, mesh.triangles, mesh.neighbours, mesh.shifts,
+    ]  # fmt: skip
+    numbers = simulation.model, simulation.step, simulation.dt, simulation.history
+    counts = simulation.upkeeps, simulation.sorted, mesh.flips, mesh.inverted, mesh.made
+    return [(a.dtype, a.shape, a.tobytes()) for a in arrays], numbers, counts
+
+
+def test_all_is_read_as_it_was_written(tmp_path):
+    simulation = a_run(tmp_path / "some" / "new folder")
+    again = gm.resume(tmp_path / "some" / "new folder")
+    assert all_of(again) == all_of(simulation)
+    assert again.history[-1] == again.measure()
+    again.save(tmp_path)
+    assert all_of(gm.resume(tmp_path)) == all_of(simulation)
+    assert [path.name for path in (tmp_path / "some" / "new folder").iterdir()] == ["checkpoint.h5"]
+
+
+def test_numbers_of_the_model_keep_all_their_digits(tmp_path):
+    gravity = (0.1 + 0.2, -np.pi)
+    force = np.random.default_rng(0).normal(size=(12, 2)) * 1e-3
+    simulation = a_run(tmp_path, gravity=gravity, force=force, open=("left", "top"), dt=1e-5 / 3)
+    again = gm.resume(tmp_path)
+    assert again.model.gravity == gravity
+    assert (np.asarray(again.model.force) == force).all()
+    assert again.model == replace(simulation.model, force=again.model.force)
+
+
+def test_a_file_is_replaced_only_once_the_new_one_is_whole(tmp_path, monkeypatch):
+    simulation = a_run(tmp_path)
+    before = (tmp_path / checkpoint.NAME).read_bytes()
+
+    def full(*_):
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr(checkpoint.os, "replace", full)
+    with pytest.raises(gm.InputError, match=r"cannot be written \(no space left"):
+        simulation.run(0.25, save=tmp_path)
+    assert (tmp_path / checkpoint.NAME).read_bytes() == before
+    assert len(list(tmp_path.iterdir())) == 1
+    monkeypatch.undo()
+    assert gm.resume(tmp_path).step < simulation.step
+
+
+def test_a_folder_that_cannot_be_is_refused(tmp_path):
+    (tmp_path / "file").write_text("here is a file")
+    with pytest.raises(gm.InputError, match="cannot be written"):
+        a_run(tmp_path / "file" / "folder")
+
+
+# Damage ------------------------------------------------------------------------------------------
+
+
+def refusal(folder, **kind):
+    with pytest.raises(gm.InputError) as error:
+        gm.resume(folder, **kind)
+    line = str(error.value)
+    assert "\n" not in line
+    assert str(folder) in line
+    return line
+
+
+def damaged(folder, tmp_path, change):
+    """A copy of a checkpoint, of changed bytes."""
+    content = bytearray((folder / checkpoint.NAME).read_bytes())
+    (tmp_path / checkpoint.NAME).write_bytes(change(content))
+    return tmp_path
+
+
+def test_a_folder_without_a_checkpoint_is_refused(tmp_path):
+    assert "no such file" in refusal(tmp_path)
+    assert "no such file" in refusal(tmp_path / "nowhere")
+    (tmp_path / checkpoint.NAME).mkdir()
+    assert "no such file" in refusal(tmp_path)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.3, 0.7, 0.99, 0.9999])
+def test_a_file_cut_short_is_refused(folder, tmp_path, share):
+    damaged(folder, tmp_path, lambda content: content[: int(share * len(content))])
+    assert "damaged or not a checkpoint" in refusal(tmp_path)
+
+
+def test_a_file_of_something_else_is_refused(tmp_path):
+    (tmp_path / checkpoint.NAME).write_bytes(b"\x89PNG and so on")
+    assert "damaged or not a checkpoint" in refusal(tmp_path)
+    with h5py.File(tmp_path / checkpoint.NAME, "w") as file:
+        file["model"] = 1.0
+    assert "damaged or not a checkpoint" in refusal(tmp_path)
+
+
+def test_any_flipped_bit_is_refused(folder, tmp_path):
+    size = (folder / checkpoint.NAME).stat().st_size
+    rng = np.random.default_rng(0)
+    for place in [0, size - 1, *rng.integers(size, size=200).tolist()]:
+
+        def flip(content, place=place):
+            content[place] ^= 1 << int(rng.integers(8))
+            return content
+
+        damaged(folder, tmp_path, flip)
+        assert "damaged or not a checkpoint" in refusal(tmp_path)
+
+
+def test_a_part_that_is_missing_is_refused(folder, tmp_path):
+    model, numbers, arrays = checkpoint.read(folder)
+    for name in "state/s", "pairs/history", "mesh/triangles":
+        less = {key: value for key, value in arrays.items() if key != name}
+        checkpoint.write(tmp_path, model, numbers, less)
+        assert "incomplete" in refusal(tmp_path)
+    fewer = {key: value for key, value in numbers.items() if key != "dt"}
+    checkpoint.write(tmp_path, model, fewer, arrays)
+    assert "incomplete" in refusal(tmp_path)
+
+
+def test_a_model_that_makes_no_sense_is_refused(folder, tmp_path):
+    model, numbers, arrays = checkpoint.read(folder)
+    checkpoint.write(tmp_path, model, numbers, arrays)
+    object.__setattr__(model.contact, "stiffness", -1.0)
+    checkpoint.write(tmp_path, model, numbers, arrays)
+    assert "stiffness = -1 must be positive" in refusal(tmp_path)
+
+
+def test_a_force_that_is_a_function_must_be_given_again(tmp_path):
+    def force(t, x, v):
+        return -0.1 * v
+
+    simulation = a_run(tmp_path, force=force)
+    assert "give the force" in refusal(tmp_path)
+    again = gm.resume(tmp_path, force=force)
+    assert all_of(again) == all_of(simulation)
+    assert (again.run(0.3).x == simulation.run(0.3).x).all()
+
+
+def test_a_force_that_was_no_function_cannot_become_one(folder):
+    assert "drop force" in refusal(folder, force=lambda t, x, v: 0.0 * x)
+
+
+def test_nothing_in_the_file_is_executed(folder):
+    # Numbers and text: no pickled objects.
+    with h5py.File(folder / checkpoint.NAME) as file:
+        kinds = []
+        file.visititems(lambda name, item: kinds.append(getattr(item, "dtype", None)))
+        texts = json.loads(file["model"][()]), json.loads(file["numbers"][()])
+    assert all(isinstance(text, dict) for text in texts)
+    kinds = [kind.kind for kind in kinds if kind is not None]
+    assert set(kinds) <= {"f", "i", "u", "O"}
+    assert kinds.count("O") == 2  # the texts
