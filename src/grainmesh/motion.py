@@ -69,8 +69,8 @@ def advance(  # type: ignore[no-untyped-def]
     dt : float
         Step [s].
     seen : (n + w, 3)
-        Places of discs, and ways of walls, when the lists were made [m], and how far each may move
-        from there before they are stale [m].
+        Places of discs, and ways of walls, when the lists were made [m], and one over the square
+        of how far each may move from there before they are stale [1/m2].
     first, steps : int
         Number of the first step, and how many.
     pause : bool
@@ -83,9 +83,9 @@ def advance(  # type: ignore[no-untyped-def]
         new lists (then call `forces`); `BROKEN`: a force was not finite, the state is lost.
     """
     n = len(s)
-    fastest, pace, longest, room = 0.0, 0.0, seen[:, 2].max(), -1.0
+    fastest, pace, longest, room = 0.0, 0.0, 1.0 / sqrt(seen[:, 2].min()), -1.0
     for w, speed in enumerate(speeds(walls)):
-        fastest, pace = max(fastest, speed), max(pace, speed / seen[n + w, 2])
+        fastest, pace = max(fastest, speed), max(pace, speed * sqrt(seen[n + w, 2]))
     for step in range(first, first + steps):
         top, probe = 0.0, 0.0
         for i in range(n):
@@ -102,7 +102,7 @@ def advance(  # type: ignore[no-untyped-def]
             s[i, X] += dt * hx  # Eq. (1)
             s[i, Y] += dt * hy
             s[i, FX], s[i, FY], s[i, T] = p[i, EX], p[i, EY], 0.0
-            top = max(top, (hx * hx + hy * hy) / (seen[i, 2] * seen[i, 2]))
+            top = max(top, (hx * hx + hy * hy) * seen[i, 2])
             probe += 0.0 * (hx + hy + hs)  # nan if one is nan or infinite
         if probe != 0.0:
             return step - first, BROKEN
@@ -144,10 +144,10 @@ def farthest(s, moved, seen):  # type: ignore[no-untyped-def]
     n, far = len(s), 0.0
     for i in range(n):
         way = (s[i, X] - seen[i, 0]) ** 2 + (s[i, Y] - seen[i, 1]) ** 2
-        far = max(far, way / seen[i, 2] ** 2)
+        far = max(far, way * seen[i, 2])
     for w in range(len(moved)):
         way = (moved[w, 0] - seen[n + w, 0]) ** 2 + (moved[w, 1] - seen[n + w, 1]) ** 2
-        far = max(far, way / seen[n + w, 2] ** 2)
+        far = max(far, way * seen[n + w, 2])
     return sqrt(far)
 
 
@@ -248,63 +248,63 @@ def _pair_forces(s, law, near, offset, rolling, ledger, dt, lead):  # type: igno
 
 @njit(cache=True, error_model="numpy")
 def _wall_forces(s, law, near, walls, moved, rolling, ledger, dt, lead):  # type: ignore[no-untyped-def]
-    start, damping, mass, old = near.start, near.damping, near.mass, near.history
+    damping, mass, old = near.damping, near.mass, near.history
     k, kt, ratio = law[0], law[1], law[2]
-    for i in range(len(s)):
-        for e in range(start[i], start[i + 1]):
-            w = near.other[e]
-            o, nx, ny, at_end = to_wall(s, i, near, e, walls, moved)
-            if at_end and o > 0.0 and held(s, i, near, e, o, walls, moved):
-                o = 0.0
-            if ledger is None and o <= -lead:
-                old[e, Q] = 0.0
-                if rolling is not None:
-                    old[e, QR] = 0.0
-                continue
-            wx, wy = (moved[w, 0] - moved[w, 2]) / dt, (moved[w, 1] - moved[w, 3]) / dt
-            hx, hy = s[i, HX] - wx, s[i, HY] - wy
-            vx, vy = s[i, VX] - moved[w, 4], s[i, VY] - moved[w, 5]
-            un, vn = hx * nx + hy * ny, vx * nx + vy * ny
-            ht = hy * nx - hx * ny
-            turn = 0.5 * ht * un * dt / (s[i, R] - o) if at_end else 0.0
-            ut, vt = ht - turn + s[i, HS], vy * nx - vx * ny + s[i, VS]
-            qr = mur = 0.0
+    for e in range(len(near.other)):
+        i = near.owner[e]
+        w = near.other[e]
+        o, nx, ny, at_end = to_wall(s, i, near, e, walls, moved)
+        if at_end and o > 0.0 and held(s, i, near, e, o, walls, moved):
+            o = 0.0
+        if ledger is None and o <= -lead:
+            old[e, Q] = 0.0
             if rolling is not None:
-                mur, qr = rolling, old[e, QR]
-            c, mu = damping[e], walls[w, FRICTION]
-            fn, fd, ft, fs, fr, q, qr = bond(
-                o, un, vn, ut, vt, s[i, HS], s[i, VS], k, kt, 1.0 / kt, c, ratio * c, mass[e],
-                mu, mur,
-                old[e, Q], qr, dt,
-            )  # fmt: skip
-            px, py = ft * ny - fn * nx, -fn * ny - ft * nx
-            if ledger is not None:
-                _book(
-                    old[e],
-                    o,
-                    fd,
-                    ft - fs,
-                    fs,
-                    fr,
-                    q,
-                    qr,
-                    ut * dt,
-                    turn * dt,
-                    s[i, HS] * dt,
-                    kt,
-                    ledger,
-                )
-                jx, jy = 0.5 * dt * (px + old[e, PX]), 0.5 * dt * (py + old[e, PY])
-                ledger[WX] += jx
-                ledger[WY] += jy
-                ledger[WALLS] += jx * wx + jy * wy
-                old[e, PX], old[e, PY] = px, py
-            old[e, Q] = q
-            if rolling is not None:
-                old[e, QR] = qr
-            s[i, FX] += px
-            s[i, FY] += py
-            s[i, T] -= ft + fr
+                old[e, QR] = 0.0
+            continue
+        wx, wy = (moved[w, 0] - moved[w, 2]) / dt, (moved[w, 1] - moved[w, 3]) / dt
+        hx, hy = s[i, HX] - wx, s[i, HY] - wy
+        vx, vy = s[i, VX] - moved[w, 4], s[i, VY] - moved[w, 5]
+        un, vn = hx * nx + hy * ny, vx * nx + vy * ny
+        ht = hy * nx - hx * ny
+        turn = 0.5 * ht * un * dt / (s[i, R] - o) if at_end else 0.0
+        ut, vt = ht - turn + s[i, HS], vy * nx - vx * ny + s[i, VS]
+        qr = mur = 0.0
+        if rolling is not None:
+            mur, qr = rolling, old[e, QR]
+        c, mu = damping[e], walls[w, FRICTION]
+        fn, fd, ft, fs, fr, q, qr = bond(
+            o, un, vn, ut, vt, s[i, HS], s[i, VS], k, kt, 1.0 / kt, c, ratio * c, mass[e],
+            mu, mur,
+            old[e, Q], qr, dt,
+        )  # fmt: skip
+        px, py = ft * ny - fn * nx, -fn * ny - ft * nx
+        if ledger is not None:
+            _book(
+                old[e],
+                o,
+                fd,
+                ft - fs,
+                fs,
+                fr,
+                q,
+                qr,
+                ut * dt,
+                turn * dt,
+                s[i, HS] * dt,
+                kt,
+                ledger,
+            )
+            jx, jy = 0.5 * dt * (px + old[e, PX]), 0.5 * dt * (py + old[e, PY])
+            ledger[WX] += jx
+            ledger[WY] += jy
+            ledger[WALLS] += jx * wx + jy * wy
+            old[e, PX], old[e, PY] = px, py
+        old[e, Q] = q
+        if rolling is not None:
+            old[e, QR] = qr
+        s[i, FX] += px
+        s[i, FY] += py
+        s[i, T] -= ft + fr
 
 
 @njit(cache=True, error_model="numpy")

@@ -488,7 +488,7 @@ class Simulation:
         self._pairs = pairs.near_discs(*about, discs)
         self._touch = pairs.near_walls(*about, walls, self._walls, self._moved)
         places = np.vstack([self._s[:, :2], self._moved[:, :2]])
-        self._seen = np.column_stack([places, ways])
+        self._seen = np.column_stack([places, ways**-2.0])
 
     def _deepest(self) -> tuple[float, str]:
         """Largest overlap in smallest radii, and whose it is."""
