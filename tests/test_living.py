@@ -155,13 +155,22 @@ def test_new_numbers_change_names_alone(periodic):
 
 
 @pytest.mark.parametrize("periodic", [False, True])
-def test_some_leave(periodic):
-    box, x, radius = discs(50, 5, 10.0, periodic)
-    mesh = living(box, x, radius)
-    stay = np.random.default_rng(0).random(50) < 0.6
+@pytest.mark.parametrize("share", [0.9, 0.5, 0.02])
+def test_some_leave(periodic, share):
+    box, x, radius = discs(60, 5, 10.0, periodic)
+    mesh, rng = living(box, x, radius), np.random.default_rng(0)
+    stay = rng.random(60) < share
+    stay[rng.integers(60)] = True
     mesh.drop(stay)
-    is_living(mesh, x[stay])
-    assert (mesh.weight[: stay.sum()] == radius[stay] ** 2).all()
+    x, n = x[stay] + 0.01, stay.sum()
+    mesh.follow(x)
+    is_living(mesh, x)
+    assert (mesh.weight[:n] == radius[stay] ** 2).all()
+    again = np.arange(n) > 0  # and one more
+    if n > 1:
+        mesh.drop(again)
+        mesh.follow(x[again])
+        is_living(mesh, x[again])
 
 
 def test_weights_keep_their_bits_however_often_it_is_made_anew():
