@@ -18,18 +18,7 @@ dem = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(dem)
 
 
-SLIP = "contacts that slide from the first instant: spring weighted for that step"
-LEVER = "levers as long as the radii: angular momentum off by δ/r"
-BOOKS = "damped and slid are not told apart; work of springs by the trapezoid"
-
-
-def marked(case):
-    if case.__name__ in ("dem05_oblique", "chung_ooi_4_to_8"):
-        return pytest.param(case, marks=pytest.mark.xfail(reason=SLIP))
-    return case
-
-
-@pytest.mark.parametrize("case", [*map(marked, dem.CASES)], ids=lambda case: case.__name__)
+@pytest.mark.parametrize("case", dem.CASES, ids=lambda case: case.__name__)
 def test_table_of_the_docs(case):
     for row in case():
         assert row.off <= row.within, row
@@ -72,7 +61,6 @@ def oblique(offset, e=0.8, friction=0.3, rolling=0.0, k=1e7, ratio=3.0, ledger=T
     return run, 2.0 * time
 
 
-@pytest.mark.xfail(reason=LEVER)
 @pytest.mark.parametrize("rolling", [0.0, 0.2])
 @pytest.mark.parametrize("friction", [0.0, 0.3, 5.0])
 def test_collisions_conserve_momentum_and_angular_momentum(friction, rolling):
@@ -86,7 +74,6 @@ def test_collisions_conserve_momentum_and_angular_momentum(friction, rolling):
         assert abs(angular_momentum(run) - spin) < 1e-13 * scale * 0.2
 
 
-@pytest.mark.xfail(reason=BOOKS)
 @pytest.mark.parametrize("rolling", [0.0, 0.2])
 @pytest.mark.parametrize("e", [1.0, 0.8, 0.3])
 @pytest.mark.parametrize("friction", [0.0, 0.3, 5.0])
@@ -133,7 +120,6 @@ def crowd(
     return gm.Simulation(model, gm.Particles(x, d, RHO), velocity=velocity, ledger=True)
 
 
-@pytest.mark.xfail(reason=BOOKS)
 def test_books_of_a_settling_bed_close():
     for rolling in (0.0, 0.1):
         run = crowd(rolling=rolling)
@@ -165,7 +151,6 @@ def swing(t, x, v):
     return np.stack([0.5 * np.cos(300.0 * t) - 0.1 * v[:, 0], 3.0 * (0.04 - x[:, 1])], axis=1)
 
 
-@pytest.mark.xfail(reason=BOOKS)
 @pytest.mark.parametrize("kind", ["piston", "shaken", "steady", "changing"])
 def test_books_close_where_walls_and_forces_work(kind):
     run = squeezed(kind)

@@ -55,7 +55,6 @@ def polyline(points):
     return tuple(gm.Wall(a, b) for a, b in pairwise(points))
 
 
-@pytest.mark.xfail(reason="an end that another wall covers is felt as a contact that ends")
 def test_joints_of_a_straight_floor_are_not_felt():
     """The force is the weight wherever the disc is, so no joint counts twice or not at all."""
     floor = polyline([(x, 0.05) for x in np.linspace(0.0, 0.4, 38)])
@@ -130,7 +129,6 @@ def belt(rolling):
     return one(wall, (0.05, R - MASS * G / STIFF), WEIGHTLESS, contact, (0.0, -G), ledger=True)
 
 
-@pytest.mark.xfail(reason="damped and slid are not told apart")
 def test_a_belt_drags_a_disc_to_a_third_of_its_speed_and_with_resistance_to_all_of_it():
     """Free to turn it rolls backwards on the belt; rolling resistance ends that."""
     run = belt(0.0).run(until=0.2)

@@ -8,7 +8,9 @@ v_n = δ', the sliding speed v_t of the surfaces and the rolling speed v_r (Ludi
     f_t = k_t q + c_t v_t,    q' = v_t,      |f_t| <= mu max(f_n, 0)                            (2)
     f_r = k_t q_r + c_t v_r,  q_r' = v_r,    |f_r| <= mu_r max(f_n, 0)                          (3)
 
-where q and q_r stop growing when the bound is reached. f_r makes no force but a torque f_r a with
+where q and q_r stop growing when the bound is reached. The discs touch where the line of centres
+is divided as their radii: the levers of f_t, and of spins in v_t, are r_i |x_j - x_i|/(r_i + r_j),
+which conserves angular momentum. f_r makes no force but a torque f_r a with
 a = r_i r_j/(r_i + r_j) and v_r = a (w_i - w_j). For a pair of effective mass m the approach is a
 damped oscillation, hence (e: restitution, t_c: contact time)
 
@@ -151,20 +153,19 @@ def bond(o, un, vn, ut, vt, ur, vr, k, kt, pliant, c, ct, mass, mu, mur, q, qr, 
 
     Returns
     -------
-    fn, fd, ft, fs, fr, q, qr
-        Normal force and the part of its dashpot; sliding force and the part of its spring; rolling
-        force; springs now.
+    fn, ft, fs, fr, q, qr
+        Normal force; sliding force, and what of it is no dashpot's;
+        rolling force; springs now.
     """
     if o <= 0.0 or o < un * dt:
         return _begin_or_end(o, un, vn, ut, vt, ur, vr, k, kt, c, ct, mass, mu, mur, q, qr, dt)
-    fd = c * vn
-    fn = k * o + fd
+    fn = k * o + c * vn
     most = max(fn, 0.0)
-    ft, q = slide(q, vt, ut, kt, pliant, ct, mu * most, dt)
+    ft, fs, q = slide(q, vt, ut, kt, pliant, ct, mu * most, dt)
     fr = 0.0
     if mur > 0.0:
-        fr, qr = slide(qr, vr, ur, kt, pliant, ct, mur * most, dt)
-    return fn, fd, ft, ft - ct * vt, fr, q, qr
+        fr, _, qr = slide(qr, vr, ur, kt, pliant, ct, mur * most, dt)
+    return fn, ft, fs, fr, q, qr
 
 
 @njit(cache=True)
@@ -173,32 +174,47 @@ def _begin_or_end(o, un, vn, ut, vt, ur, vr, k, kt, c, ct, mass, mu, mur, q, qr,
     if o <= 0.0:
         before = o - un * dt
         if before <= 0.0:
-            return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         fd = (-before / (un * dt) - 0.5) * c * un
         b, d = 2.0 * un - fd * dt / mass, -k / mass * before * o
         fe = mass / dt * 2.0 * d / (b - sqrt(max(b * b - 4.0 * d, 0.0)))  # u < 0
-        return fe + fd, fd, 0.0, 0.0, 0.0, 0.0, 0.0
+        return fe + fd, 0.0, 0.0, 0.0, 0.0, 0.0
     share = o / (un * dt)
-    kt, c, ct = (0.5 + 0.5 * share) * kt, (0.5 + share) * c, (0.5 + share) * ct
-    fd, stiff = c * vn, k * dt / mass * o
+    fd, stiff = (0.5 + share) * c * vn, k * dt / mass * o
     slow = un - fd * dt / mass
     b, d = un + slow + stiff, stiff * (slow + o / dt)
     fe = mass / dt * 2.0 * d / (b + sqrt(max(b * b - 4.0 * d, 0.0)))
-    fn = fe + fd
-    most = max(fn, 0.0)
-    ft, q = slide(q, vt, share * ut, kt, 1.0 / kt, ct, mu * most, dt)
+    first, now = c * un, max(k * o + c * vn, 0.0)  # normal forces of the law, unweighted
+    ft, fs, q = _begin_slide(vt, ut, kt, ct, mu * first, mu * now, share, dt)
     fr = 0.0
     if mur > 0.0:
-        fr, qr = slide(qr, vr, share * ur, kt, 1.0 / kt, ct, mur * most, dt)
-    return fn, fd, ft, ft - ct * vt, fr, q, qr
+        fr, _, qr = _begin_slide(vr, ur, kt, ct, mur * first, mur * now, share, dt)
+    return fe + fd, ft, fs, fr, q, qr
+
+
+@njit(cache=True)
+def _begin_slide(v, u, k, c, first, most, share, dt):  # type: ignore[no-untyped-def]
+    """`slide` in the step in which a contact begins.
+
+    The spring may give way as the discs meet (bound `first`) and again by the end of the step
+    (`most`); the force acts as if it went from the one value to the other in a straight line.
+    """
+    before, spring, q = slide(0.0, u, 0.0, k, 1.0 / k, c, first, dt)
+    now, fs, q = slide(q, v, share * u, k, 1.0 / k, c, most, dt)
+    old, new = 0.5 * share, 0.5 + 0.5 * share
+    return old * before + new * now, old * spring + new * fs, q
 
 
 @njit(cache=True, forceinline=True)
 def slide(q, vt, ut, k, pliant, c, most, dt):  # type: ignore[no-untyped-def]
-    """Force and spring after a step, Eqs. (2), (3); `ut` is the speed over it, `pliant` 1/k."""
-    f = k * (q + ut * dt) + c * vt
-    f = min(max(f, -most), most)  # no branch: the loop over contacts cannot foretell it
-    return f, (f - c * vt) * pliant
+    """Force, its part that is not the dashpot's, and spring after a step, Eqs. (2), (3).
+
+    `ut` is the speed over the step, `pliant` 1/k. Where the bound is reached all of the force is
+    friction: a dashpot that slides with the spring damps nothing.
+    """
+    held = k * (q + ut * dt) + c * vt
+    f = min(max(held, -most), most)  # no branch: the loop over contacts cannot foretell it
+    return f, f - c * vt if f == held else f, (f - c * vt) * pliant
 
 
 __all__ = ["FEWEST_STEPS", "STEPS", "Contact", "below", "bond"]

@@ -10,8 +10,9 @@ foretold, h_{n-1/2} + Δt a_{n-1}/2, which keeps second order. From (1) and (2)
 
     KE_N - KE_0 = sum_n (F_{n-1} + F_n)/2 . (x_n - x_{n-1}) + Δt²/8 sum_i m (a_N² - a_0²)       (3)
 
-holds exactly, so the ledger adds the work of each force by this trapezoid; for a linear spring that
-is -Δ(k δ²/2), whence the books close but for the last term.
+holds exactly, so the ledger adds the work of each force by this trapezoid. Damped is what contacts
+took and their springs do not hold, which for elastic ones is the error of the step; slid what was
+taken along the surface by friction. The books close but for the last term.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ X, Y, HX, HY, VX, VY, HS, VS, R, FX, FY, T = range(12)
 #: Columns of constants of a disc: 1/m, r²/I, force from outside, the same a step ago.
 IM, IJ, EX, EY, OX, OY = range(6)
 #: Columns of the history of a contact: springs q and q_r; for the ledger, all a step ago: overlap,
-#: damping force (normal, tangential), spring force (sliding, rolling), force of a wall.
-Q, QR, GAP, DN, DT, FS, FR, PX, PY = range(9)
+#: normal force, damping force (tangential), spring force (sliding, rolling), force of a wall.
+Q, QR, GAP, FN, DT, FS, FR, PX, PY = range(9)
 #: Entries of the ledger: work lost to damping, sliding, rolling; done by walls and by forces from
 #: outside [J/m]; impulse by walls and from outside [N s/m].
 DAMPED, SLID, ROLLED, WALLS, OUTSIDE, WX, WY, GX, GY = range(9)
@@ -216,9 +217,10 @@ def _pair_forces(s, law, near, offset, rolling, ledger, dt, lead):  # type: igno
         vx, vy = s[i, VX] - s[j, VX], s[i, VY] - s[j, VY]
         un, vn = hx * nx + hy * ny, vx * nx + vy * ny
         ht = hy * nx - hx * ny
-        turn = 0.5 * ht * un * dt * inverse  # by half of the turn of n in the step
-        ut = ht - turn + s[i, HS] + s[j, HS]
-        vt = vy * nx - vx * ny + s[i, VS] + s[j, VS]
+        lever, spins = distance / reach, s[i, HS] + s[j, HS]
+        turn = 0.5 * un * dt * (ht * inverse - spins / reach)  # half of what n and lever turn
+        ut = ht + lever * spins - turn
+        vt = vy * nx - vx * ny + lever * (s[i, VS] + s[j, VS])
         a = ur = vr = qr = mur = 0.0
         if rolling is not None:
             mur, qr = rolling, old[e, QR]
@@ -226,12 +228,17 @@ def _pair_forces(s, law, near, offset, rolling, ledger, dt, lead):  # type: igno
             ur = a * (s[i, HS] / s[i, R] - s[j, HS] / s[j, R])
             vr = a * (s[i, VS] / s[i, R] - s[j, VS] / s[j, R])
         c = damping[e]
-        fn, fd, ft, fs, fr, q, qr = bond(
+        fn, ft, fs, fr, q, qr = bond(
             o, un, vn, ut, vt, ur, vr, k, kt, pliant, c, ratio * c, mass[e], mu, mur,
             old[e, Q], qr, dt,
         )  # fmt: skip
         if ledger is not None:
-            _book(old[e], o, fd, ft - fs, fs, fr, q, qr, ut * dt, turn * dt, ur * dt, kt, ledger)
+            px, py = dx + hx * dt, dy + hy * dt  # from i to j a step ago
+            us = (hx * px + hy * py) / sqrt(px * px + py * py)
+            _book(
+                old[e], o, fn, ft - fs, fs, fr, q, qr, us * dt, un * dt, ut * dt, turn * dt,
+                ur * dt, k, kt, ledger,
+            )  # fmt: skip
         old[e, Q] = q
         if rolling is not None:
             old[e, QR] = qr
@@ -240,10 +247,10 @@ def _pair_forces(s, law, near, offset, rolling, ledger, dt, lead):  # type: igno
         px, py = fn * nx - ft * ny, fn * ny + ft * nx
         s[i, FX] -= px
         s[i, FY] -= py
-        s[i, T] -= ft
+        s[i, T] -= lever * ft
         s[j, FX] += px
         s[j, FY] += py
-        s[j, T] -= ft
+        s[j, T] -= lever * ft
 
 
 @njit(cache=True, error_model="numpy")
@@ -254,7 +261,8 @@ def _wall_forces(s, law, near, walls, moved, rolling, ledger, dt, lead):  # type
         i = near.owner[e]
         w = near.other[e]
         o, nx, ny, at_end = to_wall(s, i, near, e, walls, moved)
-        if at_end and o > 0.0 and held(s, i, near, e, o, walls, moved):
+        covered = at_end and o > -lead and held(s, i, near, e, o, walls, moved)
+        if covered:
             o = 0.0
         if ledger is None and o <= -lead:
             old[e, Q] = 0.0
@@ -265,6 +273,8 @@ def _wall_forces(s, law, near, walls, moved, rolling, ledger, dt, lead):  # type
         hx, hy = s[i, HX] - wx, s[i, HY] - wy
         vx, vy = s[i, VX] - moved[w, 4], s[i, VY] - moved[w, 5]
         un, vn = hx * nx + hy * ny, vx * nx + vy * ny
+        if covered:  # another wall has the disc: nothing begins or ends here
+            un = 0.0
         ht = hy * nx - hx * ny
         turn = 0.5 * ht * un * dt / (s[i, R] - o) if at_end else 0.0
         ut, vt = ht - turn + s[i, HS], vy * nx - vx * ny + s[i, VS]
@@ -272,7 +282,7 @@ def _wall_forces(s, law, near, walls, moved, rolling, ledger, dt, lead):  # type
         if rolling is not None:
             mur, qr = rolling, old[e, QR]
         c, mu = damping[e], walls[w, FRICTION]
-        fn, fd, ft, fs, fr, q, qr = bond(
+        fn, ft, fs, fr, q, qr = bond(
             o, un, vn, ut, vt, s[i, HS], s[i, VS], k, kt, 1.0 / kt, c, ratio * c, mass[e],
             mu, mur,
             old[e, Q], qr, dt,
@@ -280,20 +290,9 @@ def _wall_forces(s, law, near, walls, moved, rolling, ledger, dt, lead):  # type
         px, py = ft * ny - fn * nx, -fn * ny - ft * nx
         if ledger is not None:
             _book(
-                old[e],
-                o,
-                fd,
-                ft - fs,
-                fs,
-                fr,
-                q,
-                qr,
-                ut * dt,
-                turn * dt,
-                s[i, HS] * dt,
-                kt,
-                ledger,
-            )
+                old[e], o, fn, ft - fs, fs, fr, q, qr, un * dt, un * dt, ut * dt, turn * dt,
+                s[i, HS] * dt, k, kt, ledger,
+            )  # fmt: skip
             jx, jy = 0.5 * dt * (px + old[e, PX]), 0.5 * dt * (py + old[e, PY])
             ledger[WX] += jx
             ledger[WY] += jy
@@ -308,13 +307,14 @@ def _wall_forces(s, law, near, walls, moved, rolling, ledger, dt, lead):  # type
 
 
 @njit(cache=True, error_model="numpy")
-def _book(row, o, fd, fdt, fs, fr, q, qr, slid, turn, rolled, kt, ledger):  # type: ignore[no-untyped-def]
+def _book(row, o, fn, fdt, fs, fr, q, qr, us, un, slid, turn, rolled, k, kt, ledger):  # type: ignore[no-untyped-def]
     """Work of a contact since the last step, Eq. (3), written into the ledger."""
     before, now = 0.5 * (slid - turn), 0.5 * (slid + turn)  # along the tangents of then and now
-    ledger[DAMPED] += 0.5 * (row[DN] + fd) * (o - row[GAP]) + row[DT] * before + fdt * now
+    stored = 0.5 * k * (max(o, 0.0) ** 2 - max(row[GAP], 0.0) ** 2)
+    ledger[DAMPED] += 0.5 * (row[FN] * us + fn * un) - stored + row[DT] * before + fdt * now
     ledger[SLID] += row[FS] * before + fs * now - 0.5 * kt * (q * q - row[Q] ** 2)
     ledger[ROLLED] += 0.5 * (row[FR] + fr) * rolled - 0.5 * kt * (qr * qr - row[QR] ** 2)
-    row[GAP], row[DN], row[DT], row[FS], row[FR] = o, fd, fdt, fs, fr
+    row[GAP], row[FN], row[DT], row[FS], row[FR] = o, fn, fdt, fs, fr
 
 
 @njit(cache=True, forceinline=True)
