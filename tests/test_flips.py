@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull
 
 from grainmesh import arrange
 from grainmesh.domain import Box
-from grainmesh.flips import repair
+from grainmesh.flips import remove, repair
 from grainmesh.particles import Particles
 from grainmesh.triangulation import triangulate
 
@@ -33,6 +33,19 @@ class Mesh:
 
     def repair(self):
         return repair(self.points, self.weight, self.period, *self.arrays)
+
+    def remove(self, vertices):
+        """Take vertices out; the others close up, in order."""
+        size, ok = remove(self.points, self.period, *self.arrays, np.asarray(vertices))
+        self.arrays = [array[:size] for array in self.arrays]
+        if ok:
+            keep = np.ones(len(self.points), dtype=bool)
+            keep[vertices] = False
+            number = np.cumsum(keep) - 1
+            self.arrays[0] = number[self.arrays[0]].astype(np.int32)
+            self.free = number[self.free[keep[self.free]]]
+            self.points, self.weight = self.points[keep], self.weight[keep]
+        return ok
 
     def move(self, step):
         """Displace the free points, inside the walls if there are any."""
@@ -103,12 +116,18 @@ def fits_together(mesh):
 
 
 def is_valid(mesh):
+    is_whole(mesh)
+    assert mesh.repair() == (0, 0, True)
+
+
+def is_whole(mesh):
+    """Some triangulation of all points: it covers the box once, and its arrays fit together."""
     m, t, e = len(mesh.points), len(mesh.arrays[0]), len(mesh.edges)
     assert mesh.areas.min() > 0.0
     assert mesh.areas.sum() == close(mesh.box.area, rel=1e-12)
     assert m - e + t == (0 if mesh.box.periodic else 1)
+    assert (np.unique(mesh.arrays[0]) == np.arange(m)).all()
     fits_together(mesh)
-    assert mesh.repair() == (0, 0, True)
 
 
 def scattered(box, n, seed, ratio=1.0):
@@ -422,3 +441,88 @@ def test_a_swirl_of_many_steps():
     assert mesh.edges == lifted_hull(mesh)
     is_valid(mesh)
     assert flips > len(mesh.points)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    n=st.integers(12, 50),
+    seed=st.integers(0, 10**6),
+    kind=st.sampled_from(kinds),
+    share=st.sampled_from([0.0, 0.1, 0.5]),
+)
+def test_vertices_leave_until_few_are_left(n, seed, kind, share):
+    mesh, rng = a_case(n, seed, *kind), np.random.default_rng(seed)
+    enough = 7 if mesh.box.periodic else 0
+    while len(mesh.free) > enough:
+        out = mesh.free[rng.random(len(mesh.free)) < share]
+        if len(out) == 0:
+            out = rng.choice(mesh.free, 1)
+        weight, points = np.delete(mesh.weight, out), np.delete(mesh.points, out, axis=0)
+        if not mesh.remove(out):
+            assert mesh.box.periodic  # one met itself, which takes a box as small as a star
+            assert len(mesh.free) - len(out) < 20
+            fits_together(mesh)
+            return
+        np.testing.assert_array_equal(mesh.points, points)
+        np.testing.assert_array_equal(mesh.weight, weight)
+        is_whole(mesh)
+        if len(mesh.free) > enough:
+            assert mesh.repair()[2]
+            assert mesh.edges == lifted_hull(mesh, reach=2)
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+def test_neighbours_leave_together_and_in_any_order(periodic):
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        meshes = [a_case(60, seed, periodic, 1.0) for _ in range(2)]
+        middle = meshes[0].box.size / 2
+        away = np.hypot(*meshes[0].box.separation(meshes[0].points, middle).T)
+        out = np.argsort(away)[:12]  # a hole opens
+        for mesh, order in zip(meshes, (out, rng.permutation(out)), strict=True):
+            assert mesh.remove(order)
+            is_whole(mesh)
+            assert mesh.repair()[2]
+        assert meshes[0].edges == meshes[1].edges == lifted_hull(meshes[0])
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+def test_a_vertex_on_a_diagonal_of_its_ring_leaves_no_flat_triangle(periodic):
+    # Every other point of a square lattice, exactly: most lie where the diagonals cross.
+    mesh = Mesh(Box(8.0, 8.0, periodic), square(8))
+    i, j = np.divmod(np.arange(64), 8)
+    out = np.flatnonzero((i + j) % 2)
+    assert mesh.remove(out)
+    is_whole(mesh)
+    assert mesh.repair()[2]
+    is_valid(mesh)
+
+
+def test_what_cannot_leave_is_not_ok():
+    mesh = a_case(40, 1, False, 1.0)
+    t, k = np.argwhere(mesh.arrays[1] < 0)[0]
+    assert not mesh.remove([mesh.arrays[0][t, (k + 1) % 3]])  # on the boundary
+    is_whole(mesh)
+    box = Box(1.0, 1.0, periodic=True)
+    mesh = Mesh(box, Particles([[0.3, 0.4]], 0.01))
+    assert not mesh.remove([0])  # the last one, surrounded by itself
+    is_valid(mesh)
+    triangles = len(mesh.arrays[0])
+    assert mesh.remove(np.empty(0, int))
+    assert len(mesh.arrays[0]) == triangles
+
+
+@settings(max_examples=60, deadline=None)
+@given(n=st.integers(2, 6), seed=st.integers(0, 10**6), aspect=st.sampled_from([1.0, 2.3]))
+def test_vertices_leave_the_smallest_periodic_boxes(n, seed, aspect):
+    box = Box(aspect, 1.0, periodic=True)
+    x = np.random.default_rng(seed).uniform(0, 1, (n, 2)) * box.size
+    mesh = Mesh(box, Particles(x, 0.01))
+    while len(mesh.points) > 1:
+        v = mesh.arrays[0] == 0
+        meets = (v.sum(axis=1) > 1).any()
+        assert mesh.remove([0]) == (not meets)
+        is_whole(mesh)
+        if meets:
+            return
+        assert mesh.repair()[2]

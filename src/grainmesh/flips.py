@@ -21,6 +21,17 @@ unique but for ties: the triangles, glued together to a disc or a torus as ever,
 without folds. Where no flip helps, because a vertex has crossed the boundary, has moved too far, or
 would have to vanish behind larger ones, the triangulation must be made anew
 (`grainmesh.triangulation`).
+
+A vertex v leaves by flips too. Those of its edges whose other end is an ear of the ring around it,
+a triangle of three vertices in a row that has not v inside, are flipped away until three are left;
+a ring of more has two ears, and v is in one at most (G. H. Meisters, Amer. Math. Monthly 82 (1975)
+648). Then three triangles become one,
+
+           c                    c
+         / | \                /   \
+        /  v  \     --->     /     \                                                          (2)
+       / /   \ \            /       \
+      a --------- b        a ------- b
 """
 
 from __future__ import annotations
@@ -106,6 +117,107 @@ def repair(points, weight, period, triangles, neighbours, shifts):  # type: igno
     # its triangles were positive. In doubt, all are looked at again.
     ok = positive.all() and (not doubt or _failing(*arrays, positive)[1] == 0)
     return flips, inverted, ok
+
+
+@njit(cache=True)
+def remove(points, period, triangles, neighbours, shifts, vertices):  # type: ignore[no-untyped-def]
+    """Take vertices out in place, by flips and Eq. (2); what is left is for `repair`.
+
+    Parameters
+    ----------
+    points, period, triangles, neighbours, shifts
+        As for `repair`, with positive triangles.
+    vertices : (q,) int
+        Vertices to take out. The others keep their numbers.
+
+    Returns
+    -------
+    size : int
+        Number of triangles left, the first rows of the arrays.
+    ok : bool
+        Whether all went. If not, because a vertex is on the boundary or its own neighbour in a
+        small periodic box, the triangulation must be made anew.
+    """
+    size = len(triangles)
+    star = np.full(len(points), -1, np.int32)  # a triangle of each vertex
+    for t in range(size):
+        for k in range(3):
+            star[triangles[t, k]] = t
+    for v in vertices:
+        t, k = star[v], 0
+        while triangles[t, k] != v:
+            k += 1
+        degree, tries = _degree(triangles, neighbours, shifts, t, k), 0
+        if degree == 0:
+            return size, False
+        while True:
+            u, j = _next(triangles, neighbours, shifts, t, k)
+            k1, j2 = (k + 1) % 3, (j + 2) % 3
+            a, b, o, c = _corners(triangles, shifts, t, k1, u, j2)  # (o, a, b) and (o, b, c)
+            if degree == 3:
+                break
+            convex = orientation(points, period, a, b, c) > 0
+            if convex and orientation(points, period, a, c, o) >= 0:  # v on ac?
+                _flip(triangles, neighbours, shifts, t, k1, u, j2, a, c)
+                star[a[0]] = star[b[0]] = star[c[0]] = t
+                degree, tries = degree - 1, 0
+            elif tries > degree:
+                return size, False
+            t, k, tries = u, j, tries + 1
+        w, i = _next(triangles, neighbours, shifts, u, j)
+        _hand_over(triangles, neighbours, shifts, u, j, t, k1)
+        _hand_over(triangles, neighbours, shifts, w, i, t, (k + 2) % 3)
+        triangles[t, k], shifts[t, k, 0], shifts[t, k, 1] = c  # Eq. (2)
+        star[a[0]] = star[b[0]] = star[c[0]] = t
+        for hole in (max(u, w), min(u, w)):
+            size -= 1
+            if hole < size:
+                _fill(triangles, neighbours, shifts, star, hole, size)
+    return size, True
+
+
+@njit(cache=True)
+def _next(triangles, neighbours, shifts, t, k):  # type: ignore[no-untyped-def]
+    """The next triangle anticlockwise round corner k of triangle t, and its corner there."""
+    u = neighbours[t, (k + 1) % 3]
+    return u, (_back(triangles, neighbours, shifts, t, (k + 1) % 3, u) + 1) % 3 if u >= 0 else 0
+
+
+@njit(cache=True)
+def _degree(triangles, neighbours, shifts, t, k):  # type: ignore[no-untyped-def]
+    """Triangles round a corner; 0 on the boundary and where it is its own neighbour."""
+    u, j, degree = t, k, 0
+    while degree == 0 or u != t:
+        if triangles[u, (j + 1) % 3] == triangles[t, k]:
+            return 0
+        u, j = _next(triangles, neighbours, shifts, u, j)
+        if u < 0:
+            return 0
+        degree += 1
+    return degree
+
+
+@njit(cache=True)
+def _hand_over(triangles, neighbours, shifts, u, j, t, k):  # type: ignore[no-untyped-def]
+    """Put what lies opposite corner j of triangle u opposite corner k of triangle t."""
+    w = neighbours[u, j]
+    if w >= 0:
+        neighbours[w, _back(triangles, neighbours, shifts, u, j, w)] = t
+    neighbours[t, k] = w
+
+
+@njit(cache=True)
+def _fill(triangles, neighbours, shifts, star, hole, last):  # type: ignore[no-untyped-def]
+    """Move triangle `last` to the row `hole`."""
+    for k in range(3):
+        u = neighbours[last, k]
+        for j in range(3):
+            if u >= 0 and neighbours[u, j] == last:
+                neighbours[u, j] = hole
+        star[triangles[last, k]] = hole
+    for rows in (triangles, neighbours):
+        rows[hole] = rows[last]
+    shifts[hole] = shifts[last]
 
 
 @njit(cache=True)
@@ -203,4 +315,4 @@ def _flip(triangles, neighbours, shifts, t, k, u, j, a, d):  # type: ignore[no-u
     triangles[t, k2], triangles[u, j2] = d[0], a[0]
 
 
-__all__ = ["repair"]
+__all__ = ["remove", "repair"]

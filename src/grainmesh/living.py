@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from grainmesh.domain import Box
-from grainmesh.flips import repair
+from grainmesh.flips import remove, repair
 from grainmesh.particles import Particles
 from grainmesh.triangulation import enclose
 
@@ -79,10 +79,19 @@ class Living:
         self.made += 1
 
     def drop(self, stay: NDArray[np.bool_]) -> None:
-        """Keep only the particles where `stay` (n,) holds."""
-        n = len(stay)
-        self.weight = self.weight[:n][stay]
-        self.renew(self.points[:n][stay])
+        """Keep only the particles where `stay` (n,) holds; then `follow` where they are now."""
+        keep = np.append(stay, np.ones(len(self.points) - len(stay), np.bool_))
+        size, gone = remove(
+            self.points, self.period, self.triangles, self.neighbours, self.shifts,
+            np.flatnonzero(~stay),
+        )  # fmt: skip
+        self.points, self.weight = self.points[keep], self.weight[keep]
+        if not gone:
+            self.renew(self.points[: stay.sum()])
+            return
+        number = np.cumsum(keep, dtype=np.int32) - np.int32(1)
+        self.triangles = number[self.triangles[:size]]
+        self.neighbours, self.shifts = self.neighbours[:size], self.shifts[:size]
 
     def renumber(self, new: Int) -> None:
         """Give particle i the number ``new[i]``."""
