@@ -311,7 +311,7 @@ def enclose(box: Box, particles: Particles) -> tuple[Triangulation, Float]:
         inside = Particles(wrapped(box, particles.x), particles.diameter, particles.density)
         return _connect(box, inside, np.array(inside.x), weight, whole=True), weight
     low, high = particles.x.min(axis=0), particles.x.max(axis=0)
-    margin = 0.1 * float((high - low).max()) + 4.0 * float(particles.diameter.max())
+    margin = 20.0 * float(particles.diameter.max())  # farther nodes make large cells, slow to find
     around = Box(*(high - low + 2.0 * margin))
     nodes = [CORNERS * around.size]
     for axis in (0, 1):  # closer than they are to the particles, for well-shaped triangles
