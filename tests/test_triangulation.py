@@ -449,4 +449,4 @@ def test_enclosed_particles_may_be_far_outside_the_box():
 
 def test_hidden_particles_cannot_be_enclosed():
     with pytest.raises(InputError, match="particle 1 is hidden"):
-        enclose(Box(1.0, 1.0), Particles([[0.5, 0.5], [0.51, 0.5], [0.2, 0.2]], [0.5, 0.1, 0.1]))
+        enclose(Box(1.0, 1.0), Particles([[0.5, 0.5], [0.5001, 0.5], [0.2, 0.2]], [0.5, 0.1, 0.1]))
