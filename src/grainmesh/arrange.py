@@ -250,7 +250,7 @@ def loose(
     n = _count("n", n)
     rng = np.random.default_rng(seed)
     d = np.asarray(diameter, dtype=float)
-    if d.shape == (2,) and n != 2:
+    if d.shape == (2,) and n != 2 and np.isfinite(d).all():
         d = rng.uniform(d[0], d[1], n)
     d = Particles(np.zeros((n, 2)), d).diameter  # checks shape and sign
     largest, gap = float(d.max()), _positive("gap", gap)

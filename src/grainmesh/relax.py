@@ -14,12 +14,14 @@ from grainmesh.walls import table
 
 #: Overlap that may stay, in smaller radii, and rounds to get there.
 SMALL, ROUNDS = 1e-2, 2000
+#: Push of each disc in its overlap, small for the many neighbours, and what is kept of the last.
+PUSH, KEEP = 0.2, 0.9
 
 
 def relax(model: Model, particles: Particles) -> Particles:
     """Discs pushed apart, and off the walls of a model, until hardly any overlap is left.
 
-    Each round moves all discs that overlap apart, each by half of the overlap.
+    Each round pushes all discs that overlap apart, and keeps part of the last push (a heavy ball).
 
     Parameters
     ----------
@@ -41,7 +43,7 @@ def relax(model: Model, particles: Particles) -> Particles:
     moved = np.zeros((len(walls), 6))
     state = np.zeros((len(r), 12))
     state[:, R] = r
-    x, worst = np.array(particles.x), np.inf
+    x, step, worst = np.array(particles.x), np.zeros((len(r), 2)), np.inf
     still = np.zeros(len(r) + len(walls))
     angle = np.arange(len(r))  # where discs that share a place are pushed to
     period = box.size if box.periodic else np.zeros(2)
@@ -65,10 +67,12 @@ def relax(model: Model, particles: Particles) -> Particles:
         if worst <= SMALL:
             return Particles(x, particles.diameter, particles.density)
         # A little too far, or many discs in a pile would take for ever.
-        push = (0.5 * (overlap + 0.5 * SMALL * r.min()) / distance)[:, None] * away
-        np.add.at(x, j, push)
-        np.add.at(x, i, -push)
-        np.add.at(x, owner, -np.maximum(depth, 0.0)[:, None] * normal)
+        push = (PUSH * (overlap + 0.5 * SMALL * r.min()) / distance)[:, None] * away
+        step *= KEEP
+        np.add.at(step, j, push)
+        np.add.at(step, i, -push)
+        np.add.at(step, owner, -2.0 * PUSH * np.maximum(depth, 0.0)[:, None] * normal)
+        x += step
     raise InputError(
         f"relax: discs still overlap by {100.0 * worst:.3g} % of a radius, they do not fit: "
         "enlarge the box or reduce the diameters"

@@ -49,7 +49,8 @@ def state_of(
 
 def stiffness_for(speed: float, mass: float, least: float) -> str:
     """Stiffness [N/m] at which a disc that hits a wall overlaps by a tenth of the least radius."""
-    return f"{mass * (speed / (0.1 * least)) ** 2:.1g}"
+    with np.errstate(over="ignore"):
+        return f"{mass * np.square(speed / (0.1 * least)):.1g}"
 
 
 def rows(
