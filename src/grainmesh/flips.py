@@ -128,7 +128,7 @@ def remove(points, period, triangles, neighbours, shifts, vertices):  # type: ig
     points, period, triangles, neighbours, shifts
         As for `repair`, with positive triangles.
     vertices : (q,) int
-        Vertices to take out. The others keep their numbers.
+        Vertices to take out, each once. The others keep their numbers.
 
     Returns
     -------
@@ -157,7 +157,7 @@ def remove(points, period, triangles, neighbours, shifts, vertices):  # type: ig
             if degree == 3:
                 break
             convex = orientation(points, period, a, b, c) > 0
-            if convex and orientation(points, period, a, c, o) >= 0:  # v on ac?
+            if convex and orientation(points, period, a, c, o) >= 0:  # 0: v on ac
                 _flip(triangles, neighbours, shifts, t, k1, u, j2, a, c)
                 star[a[0]] = star[b[0]] = star[c[0]] = t
                 degree, tries = degree - 1, 0
