@@ -81,9 +81,9 @@ def test_a_pile_is_relaxed_too():
     particles = gm.arrange.loose(box, 300, diameter=d)
     model = gm.Model(box, gm.Contact(2e6, restitution=0.3))
     pile = gm.Simulation(model, particles).run(0.6).particles
-    swollen = pile.with_diameter(1.02 * d)
+    swollen = pile.with_diameter(1.04 * d)
     found = gm.relax(model, swollen)
-    assert worst(model, swollen) > 3 * SMALL
+    assert worst(model, swollen) > 5 * SMALL
     assert worst(model, found) <= SMALL * (1 + 1e-9)
     assert np.abs(found.x - pile.x).max() < 2 * d.max()
 
