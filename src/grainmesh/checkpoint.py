@@ -55,15 +55,18 @@ def write(folder: str | Path, model: Model, numbers: dict[str, Any], arrays: Arr
     if model.force is not None and force is None:
         force = np.asarray(model.force, dtype=float).tolist()
     memory = BytesIO()
-    with h5py.File(memory, "w", userblock_size=BLOCK) as file:
-        file["model"] = json.dumps(_fields(model) | {"force": force})
-        file["numbers"] = json.dumps(numbers)
+    with h5py.File(memory, "w", userblock_size=BLOCK) as tree:
+        tree["model"] = json.dumps(_fields(model) | {"force": force})
+        tree["numbers"] = json.dumps(numbers)
         for name, array in arrays.items():
-            file[name] = array
+            tree[name] = array
     data = memory.getvalue()[BLOCK:]
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        new.write_bytes(_head(data) + data)
+        with new.open("wb") as file:
+            file.write(_head(data) + data)
+            file.flush()
+            os.fsync(file.fileno())
         os.replace(new, path)
     except OSError as fault:
         with suppress(OSError):

@@ -59,7 +59,9 @@ class Contact:
     Parameters
     ----------
     stiffness : float
-        k, normal stiffness per unit depth [N/m2 times m of overlap and m of depth: N/m].
+        k, normal force per unit depth over overlap [N/m2]. High enough that overlaps stay below
+        0.3 of the smallest radius, or the run stops: for discs of mass m [kg/m] that meet at speed
+        v, some m v²/(0.1 r)². Discs of very different size need more, and smaller steps.
     restitution : float, optional
         e, 0 < e <= 1; 0.9 if neither this nor `damping` is given.
     damping : float, optional
@@ -93,7 +95,7 @@ class Contact:
         if self.restitution is None and self.damping is None:
             object.__setattr__(self, "restitution", 0.9)
         for name, low, high, words in (
-            ("stiffness", 0.0, float("inf"), "positive [N/m]"),
+            ("stiffness", 0.0, float("inf"), "positive [N/m2]"),
             ("restitution", 0.0, 1.0, "above 0 and at most 1"),
             ("damping", -1e-300, float("inf"), "at least 0 [1/s]"),
             ("friction", -1e-300, float("inf"), "at least 0"),

@@ -12,14 +12,17 @@ Stewart's theorem for the triangle of i, j, k says
 
     power_k(y) - p >= (a_i a_j/d) [A_i/a_i + A_j/a_j - 2 d],  d = a_i + a_j = r_i + r_j + s.   (1)
 
-The bracket grows with r_k, so the smallest third disc, of radius 1, is the worst. With u = a_i -
+The bracket grows with r_k, so the smallest third disc, of radius 1, is the worst; it falls as d
+grows, so a smaller gap is safer. With u = a_i -
 r_i and v = a_j - r_j, u + v = s, it is at least 4 (1 - δ - s) - f(u) - f(v), where f(u) = 2 (2 - δ)
 - 2 u - (2 - δ)²/(1 + u) is concave, so f(u) + f(v) <= 2 f(s/2), and the bracket is positive if
 
     δ + s/sqrt(2) < 2 - sqrt(2) = 0.5858  smallest radii,                                      (2)
 
 which four equal discs attain. With s <= 2 `WAY` and δ <= `DEEPEST` no pair is missed. The edges
-also hold the deepest overlap itself (δ = -s in Eq. 1), so one beyond `DEEPEST` is noticed.
+also hold the deepest overlap itself (δ = -s in Eq. 1) while it is below the smallest radius, which
+`start.FARTHEST` sees to (0.3 + 2 * 0.2 + 2 * 0.1), so one beyond `DEEPEST` is noticed. Nodes of
+weight 0 stay away from all centres by the largest radius (`living`), more than they need.
 """
 
 from __future__ import annotations

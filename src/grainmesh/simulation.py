@@ -404,7 +404,7 @@ class Simulation:
             raise RunError(
                 f"particle {self._slot[i]} has become too fast, {speed[i]:.3g} m/s, for its "
                 f"contacts at t = {self.t:g} s: raise the stiffness, to "
-                f"{stiffness_for(speed[i], 1.0 / self._p[i, IM], self._s[:, R].min())} N/m perhaps"
+                f"{stiffness_for(speed[i], 1.0 / self._p[i, IM], self._s[:, R].min())} N/m2 perhaps"
             )
         discs, walls = pairs.memory(self._pairs), pairs.memory(self._touch)
         stay = self._stay()
@@ -430,7 +430,7 @@ class Simulation:
             raise RunError(
                 f"{who} overlap by {100 * depth:.3g} % of the smallest radius at t = {self.t:g} s, "
                 f"at most {100 * pairs.DEEPEST:g} % can be followed: raise the stiffness, to "
-                f"{self._law[0] * (10.0 * depth) ** 2:.1g} N/m perhaps"
+                f"{self._law[0] * (10.0 * depth) ** 2:.1g} N/m2 perhaps"
             )
         self.upkeeps += 1
         self.seconds["upkeep"] += perf_counter() - began

@@ -41,14 +41,14 @@ def state_of(
     if speed[i] * dt > farthest:
         raise InputError(
             f"particle {i} is too fast, {speed[i]:.3g} m/s, for its contacts: check the unit, or "
-            f"raise the stiffness, to {stiffness_for(speed[i], mass[i], radius.min())} N/m perhaps"
+            f"raise the stiffness, to {stiffness_for(speed[i], mass[i], radius.min())} N/m2 perhaps"
         )
     s[:, [VX, VY, VS]] = s[:, [HX, HY, HS]]
     return s, p
 
 
 def stiffness_for(speed: float, mass: float, least: float) -> str:
-    """Stiffness [N/m] at which a disc that hits a wall overlaps by a tenth of the least radius."""
+    """Stiffness [N/m2] at which a disc that hits a wall overlaps by a tenth of the least radius."""
     with np.errstate(over="ignore"):
         return f"{mass * np.square(speed / (0.1 * least)):.1g}"
 
