@@ -77,7 +77,7 @@ def test_a_file_is_replaced_only_once_the_new_one_is_whole(tmp_path, monkeypatch
 
     monkeypatch.setattr(checkpoint.os, "replace", full)
     with pytest.raises(gm.InputError, match=r"cannot be written \(no space left"):
-        simulation.run(0.25, save=tmp_path)
+        simulation.run(0.25).save(tmp_path)
     assert (tmp_path / checkpoint.NAME).read_bytes() == before
     assert len(list(tmp_path.iterdir())) == 1
     monkeypatch.undo()

@@ -1,11 +1,13 @@
 """Runs that cannot go on stop with one plain line, in the last good state, which is saved."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import grainmesh as gm
+from grainmesh import simulation
 
 BOX = gm.Box(1.0, 1.0)
 LAW = gm.Contact(1e6, restitution=0.8)
@@ -286,3 +288,71 @@ def test_a_time_that_is_past_already_changes_nothing():
     simulation.run(0.05)
     for one, other in zip(before, state(simulation), strict=True):
         assert (one == other).all()
+
+
+def test_a_bed_goes_on_with_another_model():
+    box = gm.Box(0.02, 0.04)
+    grains = gm.arrange.loose(box, 100, diameter=(0.8e-3, 1.2e-3), seed=1)
+    closed = gm.Model(box, gm.Contact(1e6, restitution=0.5))
+    bed = gm.Simulation(closed, grains).run(until=0.08)
+    springs, before = bed.contacts.friction, bed.x
+    # The same model again changes nothing, to the bit.
+    same = gm.Simulation(closed, grains).run(until=0.08).change(closed).run(until=0.085)
+    bed.run(until=0.085)
+    assert np.array_equal(same.x, bed.x)
+    assert np.array_equal(same.contacts.friction, bed.contacts.friction)
+    assert len(springs) > 50
+    assert not np.array_equal(before, bed.x)
+    # A floor with a hole lets some out; a wall amidst the discs is refused and changes nothing.
+    floor = (gm.Wall((0, 0), (0.007, 0)), gm.Wall((0.013, 0), (0.02, 0)))
+    hole = replace(closed, walls=floor, open=("bottom",), escape="remove")
+    bed.change(hole)
+    with pytest.raises(gm.InputError, match="sticks in wall 0"):
+        bed.change(replace(closed, walls=(gm.Wall((0, 0.003), (0.02, 0.003)),)))
+    assert bed.model.walls == floor
+    bed.run(until=0.14)
+    assert 10 < len(bed) < 100
+    assert set(bed.ids) <= set(range(100))
+
+
+def test_an_interrupt_leaves_the_last_good_state(monkeypatch):
+    """One that comes just as the compiled loop returns."""
+    box = gm.Box(0.02, 0.04)
+    bed = gm.Simulation(
+        gm.Model(box, gm.Contact(1e6)), gm.arrange.loose(box, 50, diameter=1e-3, seed=1)
+    ).run(until=0.001)
+    step, x = bed.step, bed.x
+    advance = simulation.motion.advance
+
+    def interrupted(*arguments):
+        advance(*arguments)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(simulation.motion, "advance", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        bed.run(until=0.01)
+    assert bed.step == step
+    assert np.array_equal(bed.x, x)
+
+
+@pytest.mark.parametrize("restitution", [0.5, 0.05, 0.01])
+@pytest.mark.parametrize("tangential_damping", [0.5, 1.0])
+@pytest.mark.parametrize("coarse", [False, True])
+def test_strong_damping_is_stable(restitution, tangential_damping, coarse):
+    """A bed comes to rest, spins too, with the step advised and the largest taken."""
+    box = gm.Box(0.01, 0.03)
+    grains = gm.arrange.loose(box, 40, diameter=(0.8e-3, 1.2e-3), seed=1)
+    law = gm.Contact(
+        2e5, restitution=restitution, friction=0.5, tangential_damping=tangential_damping
+    )
+    model = gm.Model(box, law)
+    if coarse:
+        with pytest.raises(gm.InputError, match="at most") as refused:
+            gm.Simulation(replace(model, dt=1.0), grains)
+        most = float(re.search(r"at most ([-+.e\d]+)", str(refused.value)).group(1))
+        model = replace(model, dt=most)
+    bed = gm.Simulation(model, grains)
+    fall = bed.energies["potential"]
+    bed.run(until=0.25)
+    assert bed.energies["rotational"] < 1e-6 * fall
+    assert bed.energies["kinetic"] < 1e-6 * fall

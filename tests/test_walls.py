@@ -257,3 +257,26 @@ def test_bad_models_are_refused(given, words):
 def test_an_unknown_side_is_refused():
     with pytest.raises(gm.InputError, match="north"):
         gm.Wall.of(BOX, "north")
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.3, 0.8, 1.5])
+@pytest.mark.parametrize("post", [False, True])
+def test_a_joint_right_below_a_disc_presses_once(angle, post):
+    """A floor of two segments, or one on a post: as one wall, also where the joint is the foot."""
+    c, s = np.cos(angle), np.sin(angle)
+    along, up = np.array([c, s]), np.array([-s, c])
+    foot = np.array([0.5, 0.5])
+    if post:
+        walls = (gm.Wall(foot - 0.3 * along, foot + 0.3 * along), gm.Wall(foot, foot - 0.3 * up))
+    else:
+        walls = (gm.Wall(foot - 0.3 * along, foot), gm.Wall(foot, foot + 0.3 * along))
+    k, d, g = 1e5, 0.05, 9.81
+    weight = 1000.0 * np.pi * d**2 / 4 * g
+    x = foot + (d / 2 - weight / k) * up
+    law = gm.Contact(k, restitution=0.5, friction=0.0)
+    model = gm.Model(gm.Box(1.0, 1.0), law, gravity=tuple(-g * up), walls=walls)
+    disc = gm.Simulation(model, gm.Particles([x], d))
+    for _ in range(20):
+        disc.run(until=disc.t + 50 * disc.dt)
+        assert len(disc.wall_contacts) == 1
+        assert disc.x[0] @ up == pytest.approx(x @ up, abs=1e-6 * weight / k)

@@ -11,6 +11,7 @@ from grainmesh import arrange, closures
 from grainmesh.contact import Contact
 from grainmesh.domain import Box
 from grainmesh.errors import InputError, RunError
+from grainmesh.measure import Contacts
 from grainmesh.model import Model
 from grainmesh.particles import Particles
 from grainmesh.permeability import Permeability, permeability
@@ -24,6 +25,7 @@ __version__ = "0.1.0"
 __all__ = [
     "Box",
     "Contact",
+    "Contacts",
     "InputError",
     "Model",
     "Particles",

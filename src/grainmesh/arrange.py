@@ -248,6 +248,8 @@ def loose(
         If the discs do not fit into the box, or a value is not positive.
     """
     n = _count("n", n)
+    if box.periodic:
+        raise InputError("loose discs need a box with walls, use arrange.random for a periodic one")
     rng = np.random.default_rng(seed)
     d = np.asarray(diameter, dtype=float)
     if d.shape == (2,) and n != 2 and np.isfinite(d).all():

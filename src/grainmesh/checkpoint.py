@@ -23,12 +23,10 @@ from numpy.typing import NDArray
 from grainmesh.contact import Contact
 from grainmesh.domain import Box
 from grainmesh.errors import InputError
-from grainmesh.model import Model
+from grainmesh.model import FUNCTION, Model
 from grainmesh.walls import Wall
 
 NAME, FORMAT, BLOCK = "checkpoint.h5", "grainmesh checkpoint 1", 512
-FUNCTION = "function"
-
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -83,7 +81,8 @@ def read(folder: str | Path) -> tuple[Model, dict[str, Any], Arrays]:
     InputError
         If there is no such file, or it is damaged.
     """
-    path = Path(folder) / NAME
+    path = Path(folder)
+    path = path if path.is_file() else path / NAME
     if not path.is_file():
         raise InputError(f"{path}: no such file: name the folder given as save=")
     try:

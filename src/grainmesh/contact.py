@@ -25,7 +25,8 @@ of the dashpot and δ₋, δ, δ₊ the overlaps a step before, now, and a step 
 
     f (u + u') Δt = k δ δ₊  as it begins,    -k δ₋ δ  as it ends,     u' = u - (f + f_d) Δt/m.   (5)
 
-Then elastic collisions keep the energy to round-off, and of damped ones all work is accounted for.
+Then elastic collisions keep the energy to round-off where n does not turn, else to third order,
+and of damped ones all work is accounted for.
 With θ the share of that step spent in contact, the dashpot acts for 1/2 + θ steps at the first
 instant in contact, and for θ - 1/2 at the first out of it. The law is of second order for all θ.
 """
@@ -59,9 +60,10 @@ class Contact:
     Parameters
     ----------
     stiffness : float
-        k, normal force per unit depth over overlap [N/m2]. High enough that overlaps stay below
-        0.3 of the smallest radius, or the run stops: for discs of mass m [kg/m] that meet at speed
-        v, some m v²/(0.1 r)². Discs of very different size need more, and smaller steps.
+        k, normal force per unit depth over overlap [N/m2]. Results no longer depend on it if
+        overlaps stay below 0.01 r, for which discs of mass m [kg/m] that meet at speed v need some
+        m v²/(0.01 r)², and a bed its weight per length of floor, times 2, over 0.01. The run stops
+        where overlaps pass 0.3 of the smallest radius: discs of very different size need more.
     restitution : float, optional
         e, 0 < e <= 1; 0.9 if neither this nor `damping` is given.
     damping : float, optional
@@ -104,8 +106,10 @@ class Contact:
             ("rolling", -1e-300, float("inf"), "at least 0"),
         ):
             value = getattr(self, name)
-            if value is None:
+            if value is None and name in ("restitution", "damping"):
                 continue
+            if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
+                raise InputError(f"contact: {name} = {value!r} must be a number, {words}")
             if not (isfinite(value) and low < value <= high):
                 raise InputError(f"contact: {name} = {value:g} must be {words}")
             object.__setattr__(self, name, float(value))

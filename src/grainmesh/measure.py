@@ -86,7 +86,7 @@ def energies(s: Float, p: Float, v: Float, law: Float, pairs: Near, touch: Near,
     return {
         "kinetic": 0.5 * float((m * (v[:, :2] ** 2).sum(axis=1)).sum()),
         "rotational": 0.5 * float((inertia * (v[:, 2] / s[:, R]) ** 2).sum()),
-        "elastic": spring,
+        "elastic": float(spring),
         "potential": -float((m * (s[:, X] * law[4] + s[:, Y] * law[5])).sum()),
     }
 

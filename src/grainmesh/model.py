@@ -15,6 +15,9 @@ from grainmesh.errors import InputError
 from grainmesh.walls import Wall
 
 Float = NDArray[np.float64]
+#: Stands for a force that is a function where a model is kept in a file.
+FUNCTION = "function"
+
 Force = Callable[[float, Float, Float], ArrayLike]
 
 
@@ -35,10 +38,12 @@ class Model:
     open : tuple of str
         Sides without a wall.
     escape : str
-        Particles that have left through an open side, wholly: "error" or "remove".
+        Particles that have left through an open side, wholly: "error" or "remove". When the last
+        has left, the run ends with a `RunError`.
     force : callable or array_like, optional
         A force from outside on each particle, per unit depth [N/m]: (n, 2) or (2,), or a function
-        of the time [s], the centres (n, 2) [m] and velocities (n, 2) [m/s] that returns it.
+        of the time [s], the centres (n, 2) [m] and velocities (n, 2) [m/s] that returns it, for
+        the particles that are still there (`Simulation.ids`).
     dt : float, optional
         Step [s]; if not given, a fiftieth of the shortest contact time.
 
@@ -83,7 +88,18 @@ class Model:
             if own.count(side) > 1 or side in sides:
                 raise InputError(f"model: the {side} side is given twice, as walls or as open")
         if self.box.periodic and (own or sides):
-            raise InputError("model: a periodic box has no sides, drop them or periodic=True")
+            raise InputError(
+                "model: a periodic box has no sides, drop open= and Wall.of, or periodic=True"
+            )
+        for wall in walls:
+            if wall.side and Wall.of(self.box, wall.side).start != wall.start:
+                raise InputError(f"model: the {wall.side} wall was made for another box")
+        if self.force is not None and not callable(self.force):
+            try:
+                np.asarray(self.force, dtype=float)
+            except (TypeError, ValueError):
+                if not (isinstance(self.force, str) and self.force == FUNCTION):
+                    raise InputError("model: force must be numbers [N/m], or a function") from None
         if self.escape not in ("error", "remove"):
             raise InputError(f"model: escape {self.escape!r} must be 'error' or 'remove'")
         if self.dt is not None and not (isfinite(self.dt) and self.dt > 0.0):

@@ -343,7 +343,8 @@ def held(s, i, near, e, o, walls, moved):  # type: ignore[no-untyped-def]
     px, py = s[i, X] + (s[i, R] - o) * nx, s[i, Y] + (s[i, R] - o) * ny
     for f in range(near.start[i], near.start[i + 1]):
         other, _, _, also = to_wall(s, i, near, f, walls, moved)
-        if f == e or other < o or (also and other == o and f > e):
+        near_enough = 1e-9 * s[i, R]
+        if f == e or other < o - near_enough or (also and other < o + near_enough and f > e):
             continue
         w = near.other[f]
         dx = px - walls[w, AX] - moved[w, 0] - near.offset[f, 0]
@@ -351,7 +352,7 @@ def held(s, i, near, e, o, walls, moved):  # type: ignore[no-untyped-def]
         along = dx * walls[w, TX] + dy * walls[w, TY]
         along = min(max(along, 0.0), walls[w, LENGTH])
         off = abs(dx - along * walls[w, TX]) + abs(dy - along * walls[w, TY])
-        if off < 1e-9 * s[i, R]:
+        if off < near_enough:
             return True
     return False
 

@@ -85,6 +85,14 @@ def memory(near: Near) -> Memory:
     return Memory(near.owner, near.other, near.image, near.history)
 
 
+def widened(old: Memory, width: int) -> Memory:
+    """The same in `width` columns, new ones being zero."""
+    history = np.zeros((len(old.other), width))
+    same = min(width, old.history.shape[1])
+    history[:, :same] = old.history[:, :same]
+    return old._replace(history=history)
+
+
 def renumbered(old: Memory, new: Int, discs: bool, odd: tuple[int, ...]) -> Memory:
     """The same where disc i has the number ``new[i]``, or -1 if it is gone.
 
@@ -300,4 +308,5 @@ __all__ = [
     "near_walls",
     "nothing",
     "renumbered",
+    "widened",
 ]

@@ -9,7 +9,7 @@ from grainmesh.measure import wall_overlaps
 from grainmesh.model import Model
 from grainmesh.motion import R
 from grainmesh.pairs import Near, walls_closer
-from grainmesh.particles import Particles, close_pairs
+from grainmesh.particles import Particles, close_pairs, touches
 from grainmesh.walls import table
 
 #: Overlap that may stay, in smaller radii, and rounds to get there.
@@ -31,14 +31,18 @@ def relax(model: Model, particles: Particles) -> Particles:
     Returns
     -------
     Particles
-        With overlaps of at most `SMALL` of the smaller radius.
+        With overlaps of at most 1 % of the smaller radius.
 
     Raises
     ------
     InputError
-        If `ROUNDS` do not suffice, because the discs do not fit.
+        If a particle lies outside the box, or `ROUNDS` do not suffice: the discs do not fit.
     """
+    if not isinstance(model, Model) or not isinstance(particles, Particles):
+        raise InputError("relax takes a grainmesh.Model, then grainmesh.Particles")
     box, r = model.box, particles.radius
+    for i in np.flatnonzero(~touches(box, particles)) if not box.periodic else ():
+        raise InputError(f"relax: particle {i} lies outside the box: check the unit, or drop it")
     walls = table(model.all_walls, 0.0)
     moved = np.zeros((len(walls), 6))
     state = np.zeros((len(r), 12))

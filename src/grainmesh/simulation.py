@@ -48,6 +48,7 @@ from grainmesh.motion import (
     OX,
     OY,
     QR,
+    VS,
     VX,
     VY,
     R,
@@ -96,11 +97,21 @@ class Simulation:
     ledger : bool
         Keep books of energy and momentum (see `ledger`), at about twice the cost.
 
+    Attributes
+    ----------
+    model : Model
+    step, dt, t : int, float, float
+        Steps done, step [s] and time [s].
+    history : list of dict
+        Rows of `measure`, added by `run`.
+    seconds, upkeeps : dict, int
+        Time spent on steps and on upkeep of triangulation and lists; number of upkeeps.
+
     Raises
     ------
     InputError
-        Step too large for the contacts; discs that overlap, or stick in walls, by more than
-        `MOST_AT_START` (`relax` pushes them apart); values that are not finite.
+        Step too large for the contacts; discs that overlap, or stick in walls, by more than 5 % of
+        the smaller radius (`relax` pushes them apart); values that are not finite.
     """
 
     def __init__(
@@ -111,6 +122,8 @@ class Simulation:
         spin: ArrayLike = 0.0,
         ledger: bool = False,
     ) -> None:
+        if not isinstance(model, Model) or not isinstance(particles, Particles):
+            raise InputError("a simulation takes a grainmesh.Model, then grainmesh.Particles")
         n = len(particles)
         self.model = model
         self.step = 0
@@ -130,38 +143,36 @@ class Simulation:
         motion.move_walls(self._walls, self._moved, 0.0)
         self._books = np.zeros(9 if ledger else 0)
         self._mesh = living(model.box, particles.x, particles.radius)
+        self._seen: Float
+        self._pairs: Near
+        self._touch: Near
         empty = pairs.nothing(9 if ledger else 2 if model.contact.rolling > 0.0 else 1)
         self._sort(empty, empty)
-        stuck = wall_overlaps(self._s, self._touch, self._walls, self._moved)[0]
-        share = stuck / self._s[self._touch.owner, R]
-        if len(share) and share.max() > MOST_AT_START:
-            e = int(np.argmax(share))
+        through, _ = motion.beyond(self._s, self._walls, self._moved)
+        stay = self._stay("remove") if through < 0 else np.arange(n) != through
+        if stay is not None:
+            i = int(self._slot[~stay].min())
+            x = particles.x[i]
             raise InputError(
-                f"particle {self._slot[self._touch.owner[e]]} sticks in "
-                f"{self._wall_name(self._touch.other[e])} by {100.0 * share[e]:.3g} % of its "
-                f"radius, {100 * MOST_AT_START:g} % is taken at the start: move it inside "
-                "(grainmesh.relax does)"
+                f"particle {i} lies outside the box, at ({x[0]:g}, {x[1]:g}) m: check the unit, "
+                "move it or drop it"
             )
+        self._refuse_stuck()
         depth, who = self._deepest()
         if depth > pairs.DEEPEST:
             raise InputError(
                 f"{who} overlap by {100 * depth:.3g} % of the smallest radius, at most "
-                f"{100 * pairs.DEEPEST:g} % can be followed: move them apart (grainmesh.relax does)"
-            )
-        try:
-            stay = self._stay()
-        except RunError as fault:
-            raise InputError(str(fault)) from None
-        if stay is not None:
-            raise InputError(
-                f"particle {self._slot[~stay].min()} lies outside the box at the start: drop it"
+                f"{100 * pairs.DEEPEST:g} % can be followed: move them apart "
+                "(grainmesh.relax(model, particles) does)"
             )
         self._force_outside()
         self._p[:, [OX, OY]] = self._p[:, [EX, EY]]
+        # Springs of contacts at the start are not stretched: nothing has moved before.
+        self._s[:, [HX, HY, HS]] = 0.0
         motion.forces(*self._state())
         self._books[:] = 0.0
         # The first step then starts with half a push, `motion` Eq. (2).
-        self._s[:, [HX, HY, HS]] -= 0.5 * self.dt * self._acceleration()
+        self._s[:, [HX, HY, HS]] = self._s[:, [VX, VY, VS]] - 0.5 * self.dt * self._acceleration()
 
     @property
     def t(self) -> float:
@@ -207,7 +218,7 @@ class Simulation:
 
     @property
     def contacts(self) -> Contacts:
-        """Contacts of discs with discs."""
+        """Contacts of discs with discs: pair, overlap, normal, force, friction (`Contacts`)."""
         return contacts_of_discs(self._s, self._pairs, self._law, self._slot)
 
     @property
@@ -225,25 +236,108 @@ class Simulation:
 
     @property
     def ledger(self) -> dict[str, float]:
-        """Work since the start [J/m]: lost to damping, sliding and rolling, done by walls and by
+        """Work since the start and impulses, per unit depth; empty unless asked for at the start.
 
-        forces from outside; impulses of both [N s/m]. Empty unless asked for at the start.
+        damped, slid, rolled
+            Taken by dashpots, by sliding and by rolling friction [J/m].
+        work of walls, work outside
+            Done on the particles by walls that move, and by forces from outside [J/m].
+        impulse of walls x, ... y, impulse outside x, ... y
+            Given to the particles [N s/m].
+
+        kinetic + rotational + elastic + potential + damped + slid + rolled - work of walls - work
+        outside stays as it was: `measure` gives this sum as total. Particles that leave take their
+        energy with them.
         """
         return dict(zip(motion.LEDGER, map(float, self._books), strict=False))
 
     def measure(self) -> dict[str, float]:
-        """Numbers of the present state: time, energies, contacts, height, upkeep."""
+        """Numbers of the present state.
+
+        t [s], step, particles, the `energies` [J/m], contacts (of discs with discs), overlap (the
+        deepest, in smallest radii), height (of the highest disc, [m]), flips (of edges, so far);
+        with a ledger, its entries and their total.
+        """
         top = self._s[:, Y] + self._s[:, R]
+        held, books = self.energies, self.ledger
+        if books:
+            books["total"] = sum(held.values()) + sum(
+                books[name] for name in ("damped", "slid", "rolled")
+            )
+            books["total"] -= books["work of walls"] + books["work outside"]
         return {
             "t": self.t,
-            "step": float(self.step),
-            "particles": float(len(self)),
-            **self.energies,
-            "contacts": float(len(self.contacts)),
+            "step": self.step,
+            "particles": len(self),
+            **held,
+            "contacts": len(self.contacts),
+            "overlap": self._deepest()[0],
             "height": float(top.max()),
-            "flips": float(self._mesh.flips),
-            **self.ledger,
+            "flips": self._mesh.flips,
+            **books,
         }
+
+    def change(self, model: Model) -> Simulation:
+        """Go on with another model: open a side, take walls away or add some, change a law.
+
+        Contacts keep their history, those with walls if the wall is in both models. Steps stay as
+        long as they are, and walls that move are where they would be had they moved from time 0.
+
+        Parameters
+        ----------
+        model : Model
+
+        Returns
+        -------
+        Simulation
+            Itself.
+
+        Raises
+        ------
+        InputError
+            If particles stick in new walls, the step is too large for the new law, or a periodic
+            box is to get sides or the reverse. Nothing is changed then.
+        """
+        if model.box.periodic != self.model.box.periodic or (
+            model.box.periodic and model.box != self.model.box
+        ):
+            raise InputError("change: a periodic box must stay as it is, and others not become one")
+        law = replace(model, dt=self.dt)
+        step_of(law, self.particles)
+        new, old = model.all_walls, self.model.all_walls
+        number = np.array([new.index(wall) if wall in new else -1 for wall in old], np.int32)
+        before = (
+            self.model,
+            self._law,
+            self._walls,
+            self._moved,
+            self._pairs,
+            self._touch,
+            self._seen,
+        )
+        width = 9 if len(self._books) else 2 if model.contact.rolling > 0.0 else 1
+        discs, touch = (
+            pairs.widened(pairs.memory(near), width) for near in (self._pairs, self._touch)
+        )
+        touch = touch._replace(other=number[touch.other]) if len(touch.other) else touch
+        self.model, self._law = law, law_of(law)
+        self._walls = table(new, law.contact.friction)
+        self._moved = np.zeros((len(new), 6))
+        for _ in range(2):
+            motion.move_walls(self._walls, self._moved, self.t)
+        try:
+            refuse_fast_walls(new, motion.speeds(self._walls), self.dt, self._s[:, R].min())
+            self._renew_lists(
+                discs, pairs.renumbered(touch, np.arange(len(self), dtype=np.int32), False, ())
+            )
+            self._refuse_stuck()
+        except InputError:
+            (
+                self.model, self._law, self._walls, self._moved, self._pairs, self._touch,
+                self._seen,
+            ) = before  # fmt: skip
+            raise
+        return self
 
     def run(
         self,
@@ -258,10 +352,11 @@ class Simulation:
         Parameters
         ----------
         until : float
-            Time to reach [s]; the last step may pass it by less than a step.
+            Time to reach [s]; the last step may pass it by less than a step. Nothing is done if it
+            is past.
         every : float, optional
-            Interval [s] at which `measure` is added to `history`, `observe` is called and, if
-            `save` is given, the state is written; else only at the end.
+            Interval [s], rounded to whole steps, at which `measure` is added to `history`,
+            `observe` is called and, if `save` is given, the state is written; else only at the end.
         save : path, optional
             Folder for ``checkpoint.h5``, from which `resume` goes on.
         progress : bool
@@ -277,7 +372,7 @@ class Simulation:
         Raises
         ------
         InputError
-            If a time is not finite or not positive.
+            If a time is not finite or not positive, or nothing can be written.
         RunError
             If a number becomes infinite or undefined, discs overlap too much to be found, or a
             particle leaves where it must not. The state is then the last good one, which is saved.
@@ -286,6 +381,8 @@ class Simulation:
             if value is not None and not (isfinite(value) and value > 0.0):
                 raise InputError(f"run: {name} = {value:g} s must be positive")
         last = ceil(until / self.dt - 1e-6)
+        if save and self.step < last:  # a folder that cannot be written is not found out too late
+            self.save(save)
         mark = max(1, round(every / self.dt)) if every else max(last, 1)
         with bar(progress, self.step, last, self.dt) as tell:
             try:
@@ -320,12 +417,12 @@ class Simulation:
         while self.step < end:
             good = self._copy()
             began = perf_counter()
-            done, why = motion.advance(
-                *self._state(), self._seen, self.step, min(end - self.step, CHUNK), pushed
-            )  # fmt: skip
-            self.step += done
-            self.seconds["steps"] += perf_counter() - began
             try:
+                done, why = motion.advance(
+                    *self._state(), self._seen, self.step, min(end - self.step, CHUNK), pushed
+                )
+                self.step += done
+                self.seconds["steps"] += perf_counter() - began
                 if why == motion.BROKEN:
                     self._blame()
                 if why == motion.STALE:
@@ -401,13 +498,14 @@ class Simulation:
         speed = np.hypot(self._s[:, HX], self._s[:, HY])
         i, farthest = int(np.argmax(speed)), FARTHEST * self._s[:, R].min()
         if speed[i] * self.dt > farthest:
+            stiffness = stiffness_for(speed[i], 1.0 / self._p[i, IM], self._s[:, R].min())
             raise RunError(
                 f"particle {self._slot[i]} has become too fast, {speed[i]:.3g} m/s, for its "
                 f"contacts at t = {self.t:g} s: raise the stiffness, to "
-                f"{stiffness_for(speed[i], 1.0 / self._p[i, IM], self._s[:, R].min())} N/m2 perhaps"
+                f"{stiffness} N/m2 perhaps, or check the forces on it"
             )
         discs, walls = pairs.memory(self._pairs), pairs.memory(self._touch)
-        stay = self._stay()
+        stay = self._stay(self.model.escape)
         if stay is not None:
             new = (np.cumsum(stay) - 1).astype(np.int32)
             new[~stay] = -1
@@ -430,12 +528,26 @@ class Simulation:
             raise RunError(
                 f"{who} overlap by {100 * depth:.3g} % of the smallest radius at t = {self.t:g} s, "
                 f"at most {100 * pairs.DEEPEST:g} % can be followed: raise the stiffness, to "
-                f"{self._law[0] * (10.0 * depth) ** 2:.1g} N/m2 perhaps"
+                f"{self._law[0] * (10.0 * depth) ** 2:.1g} N/m2 perhaps, or check whether walls or "
+                "forces leave them no room"
             )
         self.upkeeps += 1
         self.seconds["upkeep"] += perf_counter() - began
 
-    def _stay(self) -> NDArray[np.bool_] | None:
+    def _refuse_stuck(self) -> None:
+        """Raise if a disc sticks in a wall by more than `MOST_AT_START`."""
+        stuck = wall_overlaps(self._s, self._touch, self._walls, self._moved)[0]
+        share = stuck / self._s[self._touch.owner, R]
+        if len(share) and share.max() > MOST_AT_START:
+            e = int(np.argmax(share))
+            raise InputError(
+                f"particle {self._slot[self._touch.owner[e]]} sticks in "
+                f"{self._wall_name(self._touch.other[e])} by {100.0 * share[e]:.3g} % of its "
+                f"radius, {100 * MOST_AT_START:g} % is taken at the start: move it inside "
+                "(grainmesh.relax(model, particles) does)"
+            )
+
+    def _stay(self, escape: str) -> NDArray[np.bool_] | None:
         """Which discs stay, (n,), None for all: one may leave through an open side, no other."""
         box, opened = self.model.box, self.model.open
         if box.periodic:
@@ -447,7 +559,7 @@ class Simulation:
         stay = None
         left = motion.outside(self._s, *limits)
         if left >= 0:
-            if self.model.escape == "error":
+            if escape == "error":
                 raise RunError(
                     f"particle {self._slot[left]} left the box through an open side "
                     f"({', '.join(opened)}) at t = {self.t:g} s: enlarge the box, or say "

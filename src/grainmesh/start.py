@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from math import pi, sqrt
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -86,16 +84,20 @@ def step_of(model: Model, particles: Particles) -> float:
     mass = np.sort(particles.density * np.pi * particles.diameter**2 / 4.0)
     pair = mass[0] * mass[min(1, len(mass) - 1)] / (mass[0] + mass[min(1, len(mass) - 1)])
     model.contact.contact_time(mass[-1])  # the heaviest, on a wall, is damped most
-    # Strong damping makes contacts longer, but not the step that can be taken.
-    shortest = min(
-        model.contact.contact_time(pair), 1.5 * pi * sqrt(pair / model.contact.stiffness)
-    )
+    # Dashpots see velocities foretold, stable for rates below 1/Δt; a disc that spins among six
+    # others is damped at 12 c_t/m, and twice the normal damping at most adds up in one direction.
+    c = float(model.contact.coefficient(np.array([pair]))[0])
+    strongest = max(model.contact.tangential_damping, 0.5) * c
+    stable = pair / (12.0 * strongest) if strongest > 0.0 else np.inf
+    most = min(model.contact.contact_time(pair) / FEWEST_STEPS, stable)
+    good = min(model.contact.contact_time(pair) / STEPS, 0.5 * stable)
     if model.dt is None:
-        return shortest / STEPS
-    if model.dt > shortest / FEWEST_STEPS:
+        return good
+    if model.dt > most:
         raise InputError(
-            f"model: dt = {model.dt:g} s is too large for contacts that last {shortest:.3g} s: at "
-            f"most {below(shortest / FEWEST_STEPS)} s, better {below(shortest / STEPS)} s"
+            f"model: dt = {model.dt:g} s is too large for contacts that last "
+            f"{model.contact.contact_time(pair):.3g} s: at most {below(most)} s, better "
+            f"{below(good)} s"
         )
     return model.dt
 
@@ -124,7 +126,7 @@ def refuse_overlap(model: Model, particles: Particles) -> None:
         raise InputError(
             f"particles {i[worst]} and {j[worst]} overlap by {100 * share[worst]:.3g} % of the "
             f"smaller radius, {100 * MOST_AT_START:g} % is taken at the start: move them apart "
-            "(grainmesh.relax does)"
+            "(grainmesh.relax(model, particles) does)"
         )
 
 

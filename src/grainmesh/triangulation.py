@@ -311,7 +311,8 @@ def enclose(box: Box, particles: Particles) -> tuple[Triangulation, Float]:
         inside = Particles(wrapped(box, particles.x), particles.diameter, particles.density)
         return _connect(box, inside, np.array(inside.x), weight, whole=True), weight
     low, high = particles.x.min(axis=0), particles.x.max(axis=0)
-    margin = 20.0 * float(particles.diameter.max())  # farther nodes make large cells, slow to find
+    # Nodes farther away make large cells, slow to find; closer ones would be too many.
+    margin = max(20.0 * float(particles.diameter.max()), 0.02 * float((high - low).max()))
     around = Box(*(high - low + 2.0 * margin))
     nodes = [CORNERS * around.size]
     for axis in (0, 1):  # closer than they are to the particles, for well-shaped triangles

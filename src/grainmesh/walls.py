@@ -27,6 +27,8 @@ AX, AY, TX, TY, LENGTH, UX, UY, SX, SY, OMEGA, FRICTION = range(11)
 class Wall:
     """A straight segment that discs touch from both sides, its ends included.
 
+    A point a of it is at a + u t + A sin(2 π f t) at time t. In a periodic box all images count.
+
     Parameters
     ----------
     start, end : (float, float)
@@ -60,10 +62,14 @@ class Wall:
             if len(given) != 2 or not all(isfinite(c) for c in given):
                 raise InputError(f"wall: {name} {given} must be two finite numbers")
             object.__setattr__(self, name, given)
+        if self.side is not None and self.side not in SIDES:
+            raise InputError(f"wall: side {self.side!r} must be one of {', '.join(SIDES)}")
         if self.start == self.end:
             raise InputError(f"wall: start and end are both {self.start}, a wall needs a length")
         if not (isfinite(self.frequency) and self.frequency >= 0.0):
             raise InputError(f"wall: frequency {self.frequency:g} 1/s must be at least 0")
+        if any(self.amplitude) != (self.frequency > 0.0):
+            raise InputError("wall: amplitude and frequency belong together, one of them is zero")
         if self.friction is not None and not (isfinite(self.friction) and self.friction >= 0.0):
             raise InputError(f"wall: friction {self.friction:g} must be at least 0")
 
