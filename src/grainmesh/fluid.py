@@ -40,11 +40,8 @@ from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
-from netgen.meshing import IdentificationType
-from netgen.meshing import Mesh as NetgenMesh
 from ngsolve import (
     H1,
-    TRIG,
     VERTEX,
     BilinearForm,
     CoefficientFunction,
@@ -53,11 +50,8 @@ from ngsolve import (
     InnerProduct,
     Integrate,
     LinearForm,
-    Mesh,
     NodeId,
-    Periodic,
     Sym,
-    VectorH1,
     div,
     dx,
     grad,
@@ -69,6 +63,7 @@ from grainmesh.cells import cells
 from grainmesh.closures import Law
 from grainmesh.domain import SIDES, Box
 from grainmesh.errors import InputError
+from grainmesh.mesh import flow_mesh, hats, linear, moments, spaces
 from grainmesh.particles import Particles, settle
 from grainmesh.saddle import SaddleFactor, entries, threads
 from grainmesh.triangulation import Triangulation, triangulate
@@ -149,7 +144,7 @@ def stokes(
     -------
     list of Flow
     """
-    V, Q = _spaces(mesh, order, pressure, slip, no_slip)
+    V, Q = spaces(mesh, order, pressure, slip, no_slip)
     X = V * Q
     (u, p), (v, q) = X.TnT()
     P1 = H1(mesh, order=1)
@@ -169,7 +164,7 @@ def stokes(
             values, columns, row = entries(a.mat)
             diagonal = np.flatnonzero(columns == row)
             dof = np.array([V.GetDofNrs(NodeId(VERTEX, i)) for i in range(mesh.nv)])
-            shared = np.bincount(dof.ravel(), np.repeat(drag * _hats(mesh), 2), a.mat.height)
+            shared = np.bincount(dof.ravel(), np.repeat(drag * hats(mesh), 2), a.mat.height)
             values[diagonal] += shared[row[diagonal]]
         factor = SaddleFactor(a.mat, V.ndof, X.FreeDofs(True))
         flows = []
@@ -285,7 +280,7 @@ def solve(
         dofs=found.flows[0].dofs,
         mesh=bed.mesh,
         velocity=(found.flows[0].velocity, found.flows[1].velocity),
-        porosity=_linear(bed.mesh, bed.porosity),
+        porosity=linear(bed.mesh, bed.porosity),
         scale=scale,
     )
 
@@ -310,7 +305,7 @@ class _Bed:
             axis, end = divmod(SIDES.index(side), 2)
             still |= points[:, axis] == end * self.box.size[axis]
         still &= self.vertex >= len(self.drag)  # particles on the wall keep their weight
-        psi = self.share.multiply((1.0 / (self.share @ _hats(self.mesh)))[:, None])
+        psi = self.share.multiply((1.0 / (self.share @ hats(self.mesh)))[:, None])
         return csr_array(psi * np.where(still, weight, 1.0))
 
 
@@ -331,7 +326,13 @@ def _bed(box: Box, particles: Particles, law: Law, gap: Gap) -> _Bed:
     cell = cells(box, particles)
     eps = np.maximum(cell.porosity, LEAST_POROSITY)
     lam = _permeability(law, 1.0 - cell.solid.sum() / box.area, triangulation, gap)
-    mesh, vertex = flow_mesh(triangulation)
+    mesh, vertex, _ = flow_mesh(
+        triangulation.box,
+        triangulation.points,
+        triangulation.triangles,
+        triangulation.shifts,
+        triangulation.neighbours,
+    )
     share = _share(triangulation)[:, vertex]
     drag = eps**2 / lam * cell.area  # Eq. (2) times A_i, d = 1
     alone = 1.0 - np.asarray(share.sum(axis=0))  # a node that no particle is joined to: pure fluid
@@ -377,7 +378,7 @@ def _run(bed: _Bed, order: int, kernel: Kernel, walls: Walls) -> _Run:
                 slip=() if still else sides,
                 no_slip=still,
             )
-    eps, hats, degree = _linear(mesh, bed.porosity), _hats(mesh), max(order, 3)
+    eps, share, degree = linear(mesh, bed.porosity), hats(mesh), max(order, 3)
     mean, force = np.empty((2, 2)), np.empty((2, len(bed.drag), 2))
     with threads(mesh):
         for along, flow in enumerate(flows):
@@ -388,125 +389,16 @@ def _run(bed: _Bed, order: int, kernel: Kernel, walls: Walls) -> _Run:
             slope = grad(flow.pressure)
             for axis in range(2):
                 if kernel == "hat":
-                    around = psi[along] @ _moments(mesh, flow.velocity[axis], degree)
+                    around = psi[along] @ moments(mesh, flow.velocity[axis], degree)
                 else:
                     at = flow.fields.components[0].components[axis].vec.FV().NumPy()[: mesh.nv]
-                    around = psi[along] @ (hats * at)
-                pull = bed.share @ ((along == axis) * hats - _moments(mesh, slope[axis], degree))
+                    around = psi[along] @ (share * at)
+                pull = bed.share @ ((along == axis) * share - moments(mesh, slope[axis], degree))
                 force[along, :, axis] = bed.drag * around + bed.solid * pull  # Eq. (4)
     return _Run(mean, force, flows)
 
 
-# --- the mesh -----------------------------------------------------------------------------------
-
-
-def flow_mesh(triangulation: Triangulation) -> tuple[Any, Int]:
-    """NGSolve mesh of a triangulation.
-
-    A torus is cut open along edges: each triangle lies where its middle is inside the box, and
-    images of a particle are identified with each other. The first vertices are the points of the
-    triangulation, at one of their images, in their order.
-
-    Parameters
-    ----------
-    triangulation : Triangulation
-        Of a box with wall nodes; or periodic, with at most one edge between two particles.
-
-    Returns
-    -------
-    mesh : ngsolve.Mesh
-        Its boundaries are named as in `domain.SIDES`.
-    vertex : ndarray, shape (v,)
-        Point of the triangulation that each vertex of the mesh shows.
-    """
-    box, m = triangulation.box, len(triangulation.points)
-    shift = triangulation.shifts.astype(np.int64)
-    if box.periodic:
-        shift -= np.floor(triangulation.corners.mean(axis=1) / box.size).astype(int)[:, None]
-    images = np.column_stack([triangulation.triangles.reshape(-1, 1), shift.reshape(-1, 2)])
-    images, corner = np.unique(images, axis=0, return_inverse=True)
-    # The lowest image of each point comes first, as vertex number i.
-    first = np.ones(len(images), dtype=bool)
-    first[1:] = np.diff(images[:, 0]) > 0
-    number = np.where(first, np.cumsum(first) - 1, m + np.cumsum(~first) - 1)
-    images = images[np.argsort(number)]
-    vertex, shift = images[:, 0], images[:, 1:]
-
-    ngmesh = NetgenMesh(dim=2)
-    ngmesh.AddPoints(
-        np.column_stack([triangulation.points[vertex] + shift * box.size, np.zeros(len(vertex))])
-    )
-    region = ngmesh.AddRegion("fluid", dim=2)
-    triangles = number[corner].reshape(-1, 3)
-    ngmesh.AddElements(dim=2, index=region, data=triangles.astype(np.int32), base=0)
-    if not box.periodic:
-        for side, name in enumerate(SIDES):
-            data = triangulation.wall_edges[triangulation.wall_sides == side]
-            region = ngmesh.AddRegion(name, dim=1)
-            ngmesh.AddElements(dim=1, index=region, data=data, base=0)
-    else:
-        for group, pairs in enumerate(_identifications(triangles, vertex, shift), start=1):
-            for master, slave in np.column_stack(pairs).tolist():
-                ngmesh.AddPointIdentification(
-                    master + 1, slave + 1, group, IdentificationType.PERIODIC
-                )
-    return Mesh(ngmesh), vertex
-
-
-def _identifications(triangles: Int, point: Int, shift: Int) -> list[tuple[Int, Int]]:
-    """Groups of (master, slave) vertices that make a periodic space of a cell cut open.
-
-    NGSolve goes through the groups in order; the last group with a vertex among its slaves decides
-    what the vertex becomes, so the groups that lead to the lowest image of each point come last.
-    An edge is identified where both its ends are slaves in one group. All such edges of a group,
-    and no triangle at all, must have an image, or NGSolve stops: hence more than one group for a
-    translation.
-    """
-    v = len(point)
-    sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    copies = np.bincount(point)[point] > 1
-    sides = np.unique(sides[copies[sides].all(axis=1)], axis=0)
-    corners = triangles[copies[triangles].all(axis=1)]
-    known = sides[:, 0] * v + sides[:, 1]
-
-    def groups(master: Int, wanted: Int) -> list[tuple[Int, Int]]:
-        """Groups of slaves v -> master[v], so that each wanted pair is together in one of them."""
-        image = np.sort(master[sides], axis=1)
-        lost = sides[~np.isin(image[:, 0] * v + image[:, 1], known)]
-        forbidden = np.vstack([corners, lost[:, [0, 1, 1]]])
-        near: dict[int, list[set[int]]] = {}  # loops over the vertices on the cut only: few
-        for row in map(set, forbidden.tolist()):
-            for end in row:
-                near.setdefault(end, []).append(row)
-        found, left = [], [set(pair) for pair in wanted.tolist()]
-        while left:
-            slave: set[int] = set()
-            later = []
-            for pair in left:
-                if any(row - pair <= slave for end in pair for row in near.get(end, ())):
-                    later.append(pair)
-                else:
-                    slave |= pair
-            slaves = np.array(sorted(slave))
-            found.append((master[slaves], slaves))
-            left = later
-        return found
-
-    # The two copies of an edge that was cut follow each other here, the lower image first.
-    ends = np.where((point[sides[:, 0]] > point[sides[:, 1]])[:, None], sides[:, ::-1], sides)
-    order = np.lexsort([*shift[ends[:, 0]].T[::-1], *point[ends].T])
-    low, high = ends[order[:-1]], ends[order[1:]]
-    twice = (point[low] == point[high]).all(axis=1)
-    low, high = low[twice], high[twice]
-    step = shift[high[:, 0]] - shift[low[:, 0]]
-    result = []
-    for translation in np.unique(step, axis=0):
-        here = (step == translation).all(axis=1)
-        master = np.arange(v)
-        master[high[here]] = low[here]
-        result += groups(master, high[here])
-    slaves = np.flatnonzero(point != np.arange(v))
-    return result + groups(point, np.column_stack([slaves, slaves]))
+# --- the bed --------------------------------------------------------------------------------
 
 
 def _simple(triangulation: Triangulation) -> bool:
@@ -534,43 +426,4 @@ def _share(triangulation: Triangulation) -> csr_array:
     return csr_array((np.concatenate([np.ones(n), weight]), (i, j)), shape=(n, m))
 
 
-# --- finite elements ----------------------------------------------------------------------------
-
-
-def _spaces(
-    mesh: Any, order: int, pressure: Sequence[str], slip: Sequence[str], no_slip: Sequence[str]
-) -> tuple[Any, Any]:
-    """Velocity and pressure space, periodic if the mesh is."""
-    upright, level = {"left", "right"}, {"bottom", "top"}
-    x = [*no_slip, *upright.intersection(slip), *level.intersection(pressure)]
-    y = [*no_slip, *level.intersection(slip), *upright.intersection(pressure)]
-    V = VectorH1(mesh, order=order, dirichletx="|".join(x), dirichlety="|".join(y))
-    Q = H1(mesh, order=max(order - 1, 1), dirichlet="|".join(pressure))
-    if order == 1:
-        V.SetOrder(TRIG, 3)  # the bubble of MINI
-        V.Update()
-    if mesh.GetPeriodicNodePairs(VERTEX):  # only then: the wrapper forgets dirichletx
-        V, Q = Periodic(V), Periodic(Q)
-    return V, Q
-
-
-def _linear(mesh: Any, values: Float) -> Any:
-    """Field that is linear between values at the vertices."""
-    field = GridFunction(H1(mesh, order=1))
-    field.vec.FV().NumPy()[:] = values
-    return field
-
-
-def _moments(mesh: Any, field: Any, degree: int) -> Float:
-    """Integrals of a field of this degree times the hat function of each vertex, (v,)."""
-    space = H1(mesh, order=1)
-    form = LinearForm(field * space.TestFunction() * dx(bonus_intorder=degree))
-    return np.array(form.Assemble().vec.FV().NumPy())
-
-
-def _hats(mesh: Any) -> Float:
-    """Integral of the hat function of each vertex, (v,)."""
-    return _moments(mesh, CoefficientFunction(1.0), 0)
-
-
-__all__ = ["Flow", "Mesoscale", "flow_mesh", "solve", "stokes"]
+__all__ = ["Flow", "Mesoscale", "solve", "stokes"]
