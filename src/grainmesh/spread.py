@@ -31,7 +31,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from grainmesh.cells import _cut, diagram, wrapped
+from grainmesh.cells import diagram, wrapped
 from grainmesh.domain import Box
 from grainmesh.errors import InputError
 from grainmesh.flips import _back
@@ -113,8 +113,8 @@ def spread(
         i = int(np.flatnonzero(missed)[0])
         if area[i] <= 0.0:
             raise InputError(
-                f"the cell of particle {i} is empty: it lies outside the box or is hidden behind "
-                "the discs around it, correct the centres or reduce the diameters"
+                f"the cell of particle {i} is empty: it lies outside the box, beyond the reach or "
+                "behind the discs around it, correct the centres or reduce the diameters"
             )
         raise InputError(
             f"the mesh does not cover the cell of particle {i}: it must cover the box once, with "
@@ -141,12 +141,44 @@ def _moments(p, m):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def _clip(p, m, q, du, dv, c, edge):  # type: ignore[no-untyped-def]
+    """Keep the part u du + v dv <= c of polygon `p`, written to `q`; its vertex count, -1 if whole.
+
+    Rows are u, v, room for a number, and the name of the side to the next vertex; the new one is
+    named `edge`.
+    """
+    outside = 0
+    for k in range(m):
+        p[k, 2] = p[k, 0] * du + p[k, 1] * dv - c
+        outside += p[k, 2] > 0.0
+    if outside == 0:
+        return -1
+    size, b = 0, m - 1
+    for k in range(m):
+        a, b = b, k  # the side from a to b
+        s, t = p[a, 2], p[b, 2]
+        if (s <= 0.0) != (t <= 0.0):
+            f = s / (s - t)
+            q[size, 0] = p[a, 0] + f * (p[b, 0] - p[a, 0])
+            q[size, 1] = p[a, 1] + f * (p[b, 1] - p[a, 1])
+            q[size, 3] = edge if s <= 0.0 else p[a, 3]
+            size += 1
+        if t <= 0.0:
+            q[size, 0], q[size, 1], q[size, 3] = p[b, 0], p[b, 1], p[b, 3]
+            size += 1
+    return size
+
+
+@njit(cache=True)
 def _cell(  # type: ignore[no-untyped-def]
-    i, x, weight, start, other, image, period, circle, window, walls, p, tag, q, qtag
+    i, x, weight, start, other, image, period, circle, window, walls, p, q
 ):
     """C_i relative to x_i: number of vertices, the polygon, and what is spare."""
     m, at_wall = len(circle), False
-    p[:m, :2] = circle
+    if start[i] == start[i + 1]:  # not even sides of the window
+        m = 0
+    for k in range(m):
+        p[k, 0], p[k, 1] = circle[k, 0], circle[k, 1]
     for e in range(start[i], start[i + 1]):
         j = other[e]
         if j < 0:
@@ -155,7 +187,7 @@ def _cell(  # type: ignore[no-untyped-def]
         dx = x[j, 0] - x[i, 0] + image[e, 0] * period[0]
         dy = x[j, 1] - x[i, 1] + image[e, 1] * period[1]
         c = 0.5 * (dx * dx + dy * dy + weight[i] - weight[j])  # Eq. (2) of cells, times D
-        size = _cut(p, tag, m, q, qtag, dx, dy, c, -1, 0, 0)
+        size = _clip(p, m, q, dx, dy, c, -1)
         if size >= 0:
             m, p, q = size, q, p
     if at_wall:
@@ -163,28 +195,27 @@ def _cell(  # type: ignore[no-untyped-def]
             for side in range(2):
                 out = 2.0 * side - 1.0
                 c = out * (window[side, axis] - x[i, axis])
-                size = _cut(p, tag, m, q, qtag, out * (1 - axis), out * axis, c, -1, 0, 0)
+                size = _clip(p, m, q, out * (1 - axis), out * axis, c, -1)
                 if size >= 0:
                     m, p, q = size, q, p
     return m, p, q
 
 
 @njit(cache=True)
-def _overlap(cell, m, corner, p, tag, q, qtag):  # type: ignore[no-untyped-def]
-    """C_i ∩ T: number of vertices, the polygon, its tags, and what is spare.
+def _overlap(cell, m, corner, p, q):  # type: ignore[no-untyped-def]
+    """C_i ∩ T: number of vertices, the polygon, and what is spare.
 
-    A side on an edge of T has the tag of the corner opposite, other sides have -1.
+    A side on an edge of T has the name of the corner opposite, other sides -1.
     """
     for k in range(m):
-        p[k, 0], p[k, 1] = cell[k, 0], cell[k, 1]
-        tag[k, 0] = -1
+        p[k, 0], p[k, 1], p[k, 3] = cell[k, 0], cell[k, 1], -1.0
     for k in range(3):
-        a, b = corner[(k + 1) % 3], corner[(k + 2) % 3]
-        du, dv = b[1] - a[1], a[0] - b[0]
-        size = _cut(p, tag, m, q, qtag, du, dv, du * a[0] + dv * a[1], k, 0, 0)
+        a, b = (k + 1) % 3, (k + 2) % 3
+        du, dv = corner[b, 1] - corner[a, 1], corner[a, 0] - corner[b, 0]
+        size = _clip(p, m, q, du, dv, du * corner[a, 0] + dv * corner[a, 1], k)
         if size >= 0:
-            m, p, q, tag, qtag = size, q, p, qtag, tag
-    return m, p, tag, q, qtag
+            m, p, q = size, q, p
+    return m, p, q
 
 
 @njit(cache=True)
@@ -199,9 +230,8 @@ def _shares(  # type: ignore[no-untyped-def]
         for k in range(3):
             star[triangles[t, k]] = t
     room = len(circle) + 8 + (start[1:] - start[:-1]).max()  # a cut adds one vertex at most
-    cell, spare = np.empty((room, 3)), np.empty((room, 3))
-    p, q = np.empty((room, 3)), np.empty((room, 3))
-    tag, qtag = np.zeros((room, 3), np.int32), np.zeros((room, 3), np.int32)
+    cell, spare = np.empty((room, 4)), np.empty((room, 4))
+    p, q = np.empty((room, 4)), np.empty((room, 4))
     corner, phi = np.empty((3, 2)), np.empty(3)
     area, missed = np.zeros(n), np.zeros(n, np.bool_)
     first = np.zeros(n + 1, np.int32)
@@ -213,9 +243,8 @@ def _shares(  # type: ignore[no-untyped-def]
     for i in range(n):
         first[i] = size
         m, cell, spare = _cell(
-            i, x, weight, start, other, image, period, circle, window, walls,
-            cell, tag, spare, qtag,
-        )  # fmt: skip
+            i, x, weight, start, other, image, period, circle, window, walls, cell, spare
+        )
         area[i] = _moments(cell, m)[0]
         t = star[i]
         if area[i] <= 0.0 or t < 0:
@@ -227,12 +256,12 @@ def _shares(  # type: ignore[no-untyped-def]
         seen[t] = i
         done, widened, count, covered = 0, 0, 1, 0.0
         while done < count:
-            t, sx, sy = todo[done]
+            t, sx, sy = todo[done, 0], todo[done, 1], todo[done, 2]
             for k in range(3):
                 v = triangles[t, k]
                 corner[k, 0] = points[v, 0] - points[i, 0] + (shifts[t, k, 0] + sx) * period[0]
                 corner[k, 1] = points[v, 1] - points[i, 1] + (shifts[t, k, 1] + sy) * period[1]
-            sides, p, tag, q, qtag = _overlap(cell, m, corner, p, tag, q, qtag)
+            sides, p, q = _overlap(cell, m, corner, p, q)
             part, cx, cy = _moments(p, sides)
             if part > 0.0:  # Eq. (3)
                 covered += part
@@ -252,15 +281,15 @@ def _shares(  # type: ignore[no-untyped-def]
                     share[slot[v]] += part * phi[k]
             crossed = 0  # edges of T that the cell crosses, as bits
             for k in range(sides):
-                if tag[k, 0] >= 0:
-                    crossed |= 1 << tag[k, 0]
+                if p[k, 3] >= 0.0:
+                    crossed |= 1 << int(p[k, 3])
             todo, count = _beyond(
                 t, sx, sy, crossed, i, triangles, neighbours, shifts, seen, todo, count
             )
             done += 1
             # Round-off, or x_i is not in C_i: one more ring, whether or not the cell crosses.
             while done == count and widened < count and covered < (1.0 - MISSED) * area[i]:
-                t, sx, sy = todo[widened]
+                t, sx, sy = todo[widened, 0], todo[widened, 1], todo[widened, 2]
                 todo, count = _beyond(
                     t, sx, sy, 7, i, triangles, neighbours, shifts, seen, todo, count
                 )
