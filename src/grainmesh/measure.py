@@ -73,8 +73,9 @@ def _contacts(pair: Int, o: Float, normal: Float, q: Float, law: Float) -> Conta
 def energies(s: Float, p: Float, v: Float, law: Float, pairs: Near, touch: Near,
              walls: Float, moved: Float) -> dict[str, float]:  # fmt: skip
     """Energies per unit depth [J/m]; v (n, 3) are velocities and speeds of the surface by spin."""
-    m = 1.0 / p[:, IM]
-    inertia = s[:, R] ** 2 / p[:, IJ]
+    free = p[:, IM] > 0.0  # fixed discs have no energy
+    m = np.divide(1.0, p[:, IM], out=np.zeros(len(p)), where=free)
+    inertia = np.divide(s[:, R] ** 2, p[:, IJ], out=np.zeros(len(p)), where=free)
     spring = 0.0
     for near, o in (
         (pairs, overlaps(s, pairs)[0]),

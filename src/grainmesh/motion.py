@@ -13,6 +13,14 @@ foretold, h_{n-1/2} + Δt a_{n-1}/2, which keeps second order. From (1) and (2)
 holds exactly, so the ledger adds the work of each force by this trapezoid. Damped is what contacts
 took and their springs do not hold, which for elastic ones is the error of the step; slid what was
 taken along the surface by friction. The books close but for the last term.
+
+A linear drag of rate D [1/s] is implicit, so any D is stable; it is of first order in Δt D,
+
+    h_{n+1/2} = (h_{n-1/2} + Δt a_n)/(1 + Δt D),                                              (4)
+
+and takes m D from the momentum for each unit of way, exactly. It is not in the books.
+
+A disc with 1/m = r²/I = 0 is fixed: it does not move, whatever acts on it.
 """
 
 from __future__ import annotations
@@ -28,7 +36,7 @@ from grainmesh.walls import AX, AY, FRICTION, LENGTH, OMEGA, SX, SY, TX, TY, UX,
 #: Columns of the state of a disc: place, velocity over the last step, velocity foretold for now
 #: (spins as speeds of the surface, r w), radius, force, torque over r.
 X, Y, HX, HY, VX, VY, HS, VS, R, FX, FY, T = range(12)
-#: Columns of constants of a disc: 1/m, r²/I, force from outside, the same a step ago.
+#: Columns of constants of a disc: 1/m, r²/I, force from outside, what came from there a step ago.
 IM, IJ, EX, EY, OX, OY = range(6)
 #: Columns of the history of a contact: springs q and q_r; for the ledger, all a step ago: overlap,
 #: normal force, damping force (tangential), spring force (sliding, rolling), force of a wall.
@@ -46,8 +54,9 @@ DONE, STALE, BROKEN = range(3)
 
 @njit(cache=True, error_model="numpy")
 def advance(  # type: ignore[no-untyped-def]
-    s, p, law, pairs, touch, walls, moved, offset, rolling, ledger, dt, seen, first, steps, pause
-):
+    s, p, law, pairs, touch, walls, moved, offset, rolling, ledger, drag, dt, seen, first, steps,
+    pause,
+):  # fmt: skip
     """Advance from step `first`, where forces are known, until a list is stale or numbers break.
 
     Parameters
@@ -67,6 +76,8 @@ def advance(  # type: ignore[no-untyped-def]
         mu_r. What is None here and below is left out of the compiled loop.
     ledger : (9,) or None
         Sums that are added to.
+    drag : (n, 3) or None
+        Rate of a linear drag D, that of the spin [1/s], torque from outside over r [N/m].
     dt : float
         Step [s].
     seen : (n + w, 3)
@@ -90,10 +101,15 @@ def advance(  # type: ignore[no-untyped-def]
     for step in range(first, first + steps):
         top, probe = 0.0, 0.0
         for i in range(n):
-            ax = s[i, FX] * p[i, IM] + law[4]
-            ay = s[i, FY] * p[i, IM] + law[5]
+            falls = 1.0 if p[i, IM] > 0.0 else 0.0
+            ax = s[i, FX] * p[i, IM] + falls * law[4]
+            ay = s[i, FY] * p[i, IM] + falls * law[5]
             at = s[i, T] * p[i, IJ]
             hx, hy, hs = s[i, HX] + dt * ax, s[i, HY] + dt * ay, s[i, HS] + dt * at
+            if drag is not None:
+                slow, lag = 1.0 / (1.0 + dt * drag[i, 0]), 1.0 / (1.0 + dt * drag[i, 1])
+                hx, hy, hs = hx * slow, hy * slow, hs * lag  # Eq. (4)
+                ax, ay, at = ax - drag[i, 0] * hx, ay - drag[i, 0] * hy, at - drag[i, 1] * hs
             s[i, HX], s[i, HY], s[i, HS] = hx, hy, hs
             s[i, VX], s[i, VY], s[i, VS] = (
                 hx + 0.5 * dt * ax,
@@ -103,6 +119,8 @@ def advance(  # type: ignore[no-untyped-def]
             s[i, X] += dt * hx  # Eq. (1)
             s[i, Y] += dt * hy
             s[i, FX], s[i, FY], s[i, T] = p[i, EX], p[i, EY], 0.0
+            if drag is not None:
+                s[i, T] = drag[i, 2]
             top = max(top, (hx * hx + hy * hy) * seen[i, 2])
             probe += 0.0 * (hx + hy + hs)  # nan if one is nan or infinite
         if probe != 0.0:
@@ -124,11 +142,13 @@ def advance(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def forces(s, p, law, pairs, touch, walls, moved, offset, rolling, ledger, dt):  # type: ignore[no-untyped-def]
+def forces(s, p, law, pairs, touch, walls, moved, offset, rolling, ledger, drag, dt):  # type: ignore[no-untyped-def]
     """Forces at the present places, with the work since the last step; arguments as `advance`."""
     top = 0.0
     for i in range(len(s)):
         s[i, FX], s[i, FY], s[i, T] = p[i, EX], p[i, EY], 0.0
+        if drag is not None:
+            s[i, T] = drag[i, 2]
         top = max(top, s[i, HX] ** 2 + s[i, HY] ** 2)
     lead = 2.0 * sqrt(top) * dt
     for speed in speeds(walls):
@@ -360,11 +380,14 @@ def held(s, i, near, e, o, walls, moved):  # type: ignore[no-untyped-def]
 @njit(cache=True, error_model="numpy")
 def _work_outside(s, p, ledger, dt):  # type: ignore[no-untyped-def]
     for i in range(len(s)):
-        jx, jy = 0.5 * dt * (p[i, EX] + p[i, OX]), 0.5 * dt * (p[i, EY] + p[i, OY])
+        ex, ey = p[i, EX], p[i, EY]
+        if p[i, IM] == 0.0:  # what holds a fixed disc comes from outside, too
+            ex, ey = ex - s[i, FX], ey - s[i, FY]
+        jx, jy = 0.5 * dt * (ex + p[i, OX]), 0.5 * dt * (ey + p[i, OY])
         ledger[OUTSIDE] += jx * s[i, HX] + jy * s[i, HY]
         ledger[GX] += jx
         ledger[GY] += jy
-        p[i, OX], p[i, OY] = p[i, EX], p[i, EY]
+        p[i, OX], p[i, OY] = ex, ey
 
 
 __all__ = [

@@ -21,7 +21,8 @@ r_i and v = a_j - r_j, u + v = s, it is at least 4 (1 - δ - s) - f(u) - f(v), w
 
 which four equal discs attain. With s <= 2 `WAY` and δ <= `DEEPEST` no pair is missed. The edges
 also hold the deepest overlap itself (δ = -s in Eq. 1) while it is below the smallest radius, which
-`start.FARTHEST` sees to (0.3 + 2 * 0.2 + 2 * 0.1), so one beyond `DEEPEST` is noticed. Nodes of
+`start.FARTHEST` sees to (0.3 + 2 * 0.2 + 2 * 0.1), so one beyond `DEEPEST` is noticed. The same δ
+is safe if fixed discs overlap each other by up to 0.3 of the smaller radius of both. Nodes of
 weight 0 stay away from all centres by the largest radius (`living`), more than they need.
 """
 
@@ -52,7 +53,7 @@ class Near(NamedTuple):
     Entries ``start[i]:start[i + 1]`` have disc i as `owner` (l,); `other` (l,) is a disc j > i or a
     wall, `image` (l, 2) its periodic image relative to that of i, `offset` (l, 2) the same in
     metres [m], `damping` (l,) is c [kg/s], `mass` (l,) the effective mass [kg], and `history`
-    (l, h) what the contact remembers (`motion`).
+    (l, h) what the contact remembers (`motion`). Two fixed discs, or one and a wall, are no pair.
     """
 
     start: NDArray[np.int64]
@@ -114,13 +115,18 @@ def renumbered(old: Memory, new: Int, discs: bool, odd: tuple[int, ...]) -> Memo
 def near_discs(
     mesh: Living, radius: Float, mass: Float, contact: Contact, ways: Float, old: Memory
 ) -> Near:
-    """Discs that can touch before one has moved its way; all (n,): radius, mass, ways [m, kg/m]."""
+    """Discs that can touch before one has moved its way.
+
+    All (n,): radius [m], mass [kg/m], infinite for fixed discs, and ways [m].
+    """
     start, other, image = edges_closer(
-        mesh.points, radius, mesh.period, ways, mesh.triangles, mesh.neighbours, mesh.shifts
-    )
+        mesh.points, radius, mesh.period, ways, np.isinf(mass), mesh.triangles, mesh.neighbours,
+        mesh.shifts,
+    )  # fmt: skip
     history = remember(*old, start, other, image)
     owner = _owners(start)
-    m = mass[owner] * mass[other] / (mass[owner] + mass[other])
+    light, heavy = np.minimum(mass[owner], mass[other]), np.maximum(mass[owner], mass[other])
+    m = light / (1.0 + light / heavy)
     return Near(start, owner, other, image, image * mesh.period, contact.coefficient(m), m, history)
 
 
@@ -135,6 +141,8 @@ def near_walls(
     moved: Float,
 ) -> Near:
     """The same for walls, `ways` (n + w,); `walls` and `moved` as in `motion.advance`."""
+    ways = ways.copy()
+    ways[: len(mass)][np.isinf(mass)] = -np.inf  # fixed discs meet no wall
     start, other, image = walls_closer(mesh.points, radius, mesh.period, ways, walls, moved)
     history = remember(*old, start, other, image)
     owner = _owners(start)
@@ -147,7 +155,7 @@ def _owners(start: NDArray[np.int64]) -> Int:
 
 
 @njit(cache=True)
-def edges_closer(points, radius, period, ways, triangles, neighbours, shifts):  # type: ignore[no-untyped-def]
+def edges_closer(points, radius, period, ways, fixed, triangles, neighbours, shifts):  # type: ignore[no-untyped-def]
     """Edges of discs closer than both their ways: start (n + 1,), other (l,), image (l, 2)."""
     n, t = len(radius), len(triangles)
     found = np.empty((3 * n + 8, 4), np.int32)
@@ -159,7 +167,7 @@ def edges_closer(points, radius, period, ways, triangles, neighbours, shifts):  
                 continue  # seen from the other side
             k1, k2 = (k + 1) % 3, (k + 2) % 3
             i, j = triangles[a, k1], triangles[a, k2]
-            if i >= n or j >= n or i == j:
+            if i >= n or j >= n or i == j or (fixed[i] and fixed[j]):
                 continue
             sx, sy = shifts[a, k2, 0] - shifts[a, k1, 0], shifts[a, k2, 1] - shifts[a, k1, 1]
             dx = points[j, 0] - points[i, 0] + sx * period[0]

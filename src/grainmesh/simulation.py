@@ -62,6 +62,7 @@ from grainmesh.progress import bar
 from grainmesh.start import (
     FARTHEST,
     MOST_AT_START,
+    fixed_of,
     law_of,
     refuse_fast_walls,
     refuse_overlap,
@@ -81,7 +82,7 @@ LASTS, THINNEST = 150, 0.01
 CHUNK = 1000
 #: What a checkpoint holds besides lists and mesh.
 NUMBERS = ("step", "dt", "history", "upkeeps", "sorted")
-STATE = ("s", "p", "slot", "rank", "moved", "seen", "books")
+STATE = ("s", "p", "slot", "rank", "moved", "seen", "books", "density")
 
 
 class Simulation:
@@ -96,6 +97,9 @@ class Simulation:
         (n, 2) or (2,) [m/s]; (n,) or scalar [1/s], counter-clockwise. At rest if not given.
     ledger : bool
         Keep books of energy and momentum (see `ledger`), at about twice the cost.
+    fixed : array_like, optional
+        Particles held in place for ever, (n,) bool, or their numbers: others bounce off them as if
+        their mass were infinite, walls and fixed ones pass through them. They have no velocity.
 
     Attributes
     ----------
@@ -111,7 +115,8 @@ class Simulation:
     ------
     InputError
         Step too large for the contacts; discs that overlap, or stick in walls, by more than 5 % of
-        the smaller radius (`relax` pushes them apart); values that are not finite.
+        the smaller radius (`relax` pushes them apart), fixed ones by more than 30 %; values that
+        are not finite.
     """
 
     def __init__(
@@ -121,18 +126,21 @@ class Simulation:
         velocity: ArrayLike = (0.0, 0.0),
         spin: ArrayLike = 0.0,
         ledger: bool = False,
+        fixed: ArrayLike | None = None,
     ) -> None:
         if not isinstance(model, Model) or not isinstance(particles, Particles):
             raise InputError("a simulation takes a grainmesh.Model, then grainmesh.Particles")
-        n = len(particles)
+        n, held = len(particles), fixed_of(fixed, len(particles))
         self.model = model
         self.step = 0
-        self.dt = step_of(model, particles)
+        self.dt = step_of(model, particles, held)
         self.history: list[dict[str, float]] = []
         self.seconds = {"steps": 0.0, "upkeep": 0.0}
         self.upkeeps = self.sorted = 0
-        refuse_overlap(model, particles)
-        self._s, self._p = state_of(particles, velocity, spin, self.dt)
+        refuse_overlap(model, particles, held)
+        self._s, self._p = state_of(particles, velocity, spin, self.dt, held)
+        self._drag: Float | None = None
+        self._density = particles.density  # by the user's number, of all that were there
         self._slot = np.arange(n)  # the user's number of each disc
         self._law = law_of(model)
         self._walls = table(model.all_walls, model.contact.friction)
@@ -193,6 +201,12 @@ class Simulation:
         return ordered
 
     @property
+    def fixed(self) -> NDArray[np.bool_]:
+        """Which particles are held in place, (n,)."""
+        held: NDArray[np.bool_] = self._p[self._rank, IM] == 0.0
+        return held
+
+    @property
     def x(self) -> Float:
         """Centres [m], (n, 2), inside the box if it is periodic."""
         return wrapped(self.model.box, self._users(self._s[:, :2]))
@@ -212,13 +226,14 @@ class Simulation:
     @property
     def particles(self) -> Particles:
         """The particles where they are now."""
-        mass = self._users(1.0 / self._p[:, IM])
-        d = self._users(2.0 * self._s[:, R])
-        return Particles(self.x, d, mass / (np.pi * d**2 / 4.0))
+        return Particles(self.x, self._users(2.0 * self._s[:, R]), self._density[self.ids])
 
     @property
     def contacts(self) -> Contacts:
-        """Contacts of discs with discs: pair, overlap, normal, force, friction (`Contacts`)."""
+        """Contacts of discs with discs: pair, overlap, normal, force, friction (`Contacts`).
+
+        Fixed ones that touch each other are not among them.
+        """
         return contacts_of_discs(self._s, self._pairs, self._law, self._slot)
 
     @property
@@ -229,7 +244,10 @@ class Simulation:
 
     @property
     def energies(self) -> dict[str, float]:
-        """Energies per unit depth [J/m]: kinetic, rotational, elastic, potential (from y = 0)."""
+        """Energies per unit depth [J/m]: kinetic, rotational, elastic, potential (from y = 0).
+
+        Fixed particles have none.
+        """
         v = self._s[:, [HX, HY, HS]] + 0.5 * self.dt * self._acceleration()
         about = self._pairs, self._touch, self._walls, self._moved
         return energies(self._s, self._p, v, self._law, *about)
@@ -241,7 +259,8 @@ class Simulation:
         damped, slid, rolled
             Taken by dashpots, by sliding and by rolling friction [J/m].
         work of walls, work outside
-            Done on the particles by walls that move, and by forces from outside [J/m].
+            Done on the particles by walls that move, and by forces from outside, among them what
+            holds fixed particles [J/m].
         impulse of walls x, ... y, impulse outside x, ... y
             Given to the particles [N s/m].
 
@@ -303,7 +322,7 @@ class Simulation:
         ):
             raise InputError("change: a periodic box must stay as it is, and others not become one")
         law = replace(model, dt=self.dt)
-        step_of(law, self.particles)
+        step_of(law, self.particles, self.fixed)
         new, old = model.all_walls, self.model.all_walls
         number = np.array([new.index(wall) if wall in new else -1 for wall in old], np.int32)
         before = (
@@ -413,7 +432,7 @@ class Simulation:
 
     def _advance(self, steps: int, tell: Callable[[int], None]) -> None:
         end = self.step + steps
-        pushed = callable(self.model.force)
+        pushed = callable(self.model.force) and self._drag is None
         while self.step < end:
             good = self._copy()
             began = perf_counter()
@@ -439,6 +458,87 @@ class Simulation:
                 raise
             tell(self.step)
 
+    def _push(
+        self, steps: int, velocity: Float, spin: Float, force: Float, drag: Float
+    ) -> tuple[Float, Float, Float, Float]:
+        """Advance, from given velocities, under a linear drag and constant forces from outside.
+
+        The first step starts from h = v - Δt (f/m + c)/2, and the last ends with v = h + Δt (f/m +
+        c)/2: f is the force of contacts then and there, and c, for which any constant would keep
+        momentum, the acceleration without contacts as it starts, E/m + g - D v, which makes free
+        fall and terminal speeds exact, but no more of it than a drag of high rate leaves of it
+        after a step, 1/(1 + (Δt D)²). With J the impulse of contacts,
+
+            m (v_N - v_0) = J + N Δt (E + m g) - m D (x_N - x_0)                              (1)
+
+        holds exactly, and the J of all discs are zero together if they touch no walls.
+
+        Parameters
+        ----------
+        steps : int
+        velocity, spin : (n, 2), (n,)
+            Now [m/s, 1/s], in place of those that the discs have; those of fixed ones do not count.
+        force : (n, 2)
+            E, all the force from outside [N/m], in place of that of the model.
+        drag : (n, 3)
+            D [1/s], the same of the spin [1/s], and torque from outside over r [N/m].
+
+        Returns
+        -------
+        way, velocity, spin, impulse : (n, 2), (n, 2), (n,), (n, 2)
+            Of the particles still there: x_N - x_0 [m]; now [m/s, 1/s]; J [N s/m], zero for
+            fixed ones.
+
+        Raises
+        ------
+        RunError
+            As `run`; nothing is changed then.
+        """
+        good, before, start = self._copy(), self.ids, self._users(self._s[:, :2])
+        dt, rank = self.dt, self._rank
+        try:
+            contact = self._s[:, [FX, FY, T]]
+            contact[:, :2] -= self._p[:, [EX, EY]]
+            self._p[np.ix_(rank, [EX, EY])] = force
+            self._drag = np.empty((len(self), 3))
+            self._drag[rank] = drag
+            v = np.empty((len(self), 3))
+            v[rank] = np.column_stack([velocity, spin])
+            v[:, 2] *= self._s[:, R]
+            inverse, rate = self._p[:, [IM, IM, IJ]], self._drag[:, [0, 0, 1]]
+            v[inverse == 0.0] = 0.0
+            outside = np.column_stack([self._p[:, [EX, EY]], self._drag[:, 2]])
+            c = (outside * inverse + self._fall() - rate * v) / (1.0 + (dt * rate) ** 2)
+            self._s[:, [HX, HY, HS]] = v - 0.5 * dt * (contact * inverse + c)
+            self._s[:, [FX, FY, T]] = contact + outside
+            v, c = v[rank], c[rank]
+            self._advance(steps, lambda step: None)
+        except BaseException:
+            self._restore(good)
+            raise
+        stay, rank = np.isin(before, self.ids), self._rank
+        contact = self._s[:, [FX, FY, T]]
+        contact[:, :2] -= self._p[:, [EX, EY]]
+        contact[:, 2] -= self._drag[:, 2]
+        end = self._s[rank][:, [HX, HY, HS]]
+        end += 0.5 * dt * ((contact * self._p[:, [IM, IM, IJ]])[rank] + c[stay])
+        way = self._users(self._s[:, :2]) - start[stay]
+        impulse = end[:, :2] - v[stay, :2] + drag[stay, :1] * way
+        impulse -= steps * dt * self._fall()[rank, :2]
+        impulse *= (self._density[self.ids] * np.pi * self._users(self._s[:, R]) ** 2)[:, None]
+        impulse -= steps * dt * force[stay]
+        impulse[self.fixed] = 0.0
+        # Between pushes the discs are as if there were neither drag nor those forces.
+        self._drag = None
+        self._p[:, [EX, EY]] = 0.0
+        self._force_outside()
+        self._s[:, [FX, FY, T]] = contact
+        self._s[:, [FX, FY]] += self._p[:, [EX, EY]]
+        self._s[rank[:, None], [HX, HY, HS]] = end
+        self._s[:, [VX, VY, VS]] = self._s[:, [HX, HY, HS]]
+        self._s[:, [HX, HY, HS]] -= 0.5 * dt * self._acceleration()
+        return way, end[:, :2], end[:, 2] / self._users(self._s[:, R]), impulse
+
     def _state(self) -> tuple[Any, ...]:
         """What `motion.forces` works on."""
         return (
@@ -446,14 +546,18 @@ class Simulation:
             self._pairs.offset if self.model.box.periodic else None,
             self.model.contact.rolling or None,
             self._books if len(self._books) else None,
+            self._drag,
             self.dt,
         )  # fmt: skip
 
     def _acceleration(self) -> Float:
         """Accelerations [m/s2], (n, 3), the third that of the surface by spin."""
-        a = self._s[:, [FX, FY, T]] * self._p[:, [IM, IM, IJ]]
-        a[:, :2] += self.model.gravity
-        return a
+        return self._s[:, [FX, FY, T]] * self._p[:, [IM, IM, IJ]] + self._fall()
+
+    def _fall(self) -> Float:
+        """Accelerations by gravity, in the same columns."""
+        fall: Float = np.where(self._p[:, IM, None] > 0.0, [*self.model.gravity, 0.0], 0.0)
+        return fall
 
     def _force_outside(self) -> None:
         """Force from outside at the present places."""
@@ -470,13 +574,13 @@ class Simulation:
         return (
             self.step, self._s.copy(), self._p.copy(), self._moved.copy(), self._books.copy(),
             self._pairs, self._pairs.history.copy(), self._touch, self._touch.history.copy(),
-            self._slot, self._rank, self._seen,
+            self._slot, self._rank, self._seen, self._drag,
         )  # fmt: skip
 
     def _restore(self, good: tuple[Any, ...]) -> None:
         (
             self.step, self._s, self._p, self._moved, self._books,
-            links, springs, touch, more, self._slot, self._rank, self._seen,
+            links, springs, touch, more, self._slot, self._rank, self._seen, self._drag,
         ) = good  # fmt: skip
         self._pairs, self._touch = links._replace(history=springs), touch._replace(history=more)
         old = self._mesh
@@ -513,7 +617,7 @@ class Simulation:
                 pairs.renumbered(discs, new, True, (QR, FR)),
                 pairs.renumbered(walls, new, False, ()),
             )
-            self._s, self._p, self._slot = self._s[stay], self._p[stay], self._slot[stay]
+            self._take(stay)
             self._rank = np.argsort(self._slot)
             if len(self) == 0:
                 raise RunError(f"the last particle left the box at t = {self.t:g} s")
@@ -581,7 +685,7 @@ class Simulation:
         order = np.lexsort((self._s[:, X], strip))
         new = np.empty(len(order), np.int32)
         new[order] = np.arange(len(order))
-        self._s, self._p, self._slot = self._s[order], self._p[order], self._slot[order]
+        self._take(order)
         self._rank = np.argsort(self._slot)
         self._mesh.renumber(new)
         self.sorted = self._mesh.flips
@@ -589,9 +693,17 @@ class Simulation:
             pairs.renumbered(discs, new, True, (QR, FR)), pairs.renumbered(walls, new, False, ())
         )
 
+    def _take(self, rows: NDArray[Any]) -> None:
+        """Keep only these rows of what belongs to discs, in this order."""
+        self._s, self._p, self._slot = self._s[rows], self._p[rows], self._slot[rows]
+        if self._drag is not None:
+            self._drag = self._drag[rows]
+
     def _renew_lists(self, discs: Memory, walls: Memory) -> None:
         """Near discs and walls, with the history of those that were near before."""
-        radius, mass = np.ascontiguousarray(self._s[:, R]), 1.0 / self._p[:, IM]
+        radius = np.ascontiguousarray(self._s[:, R])
+        with np.errstate(divide="ignore"):
+            mass = 1.0 / self._p[:, IM]  # infinite if fixed
         speed = np.hypot(self._s[:, HX], self._s[:, HY])
         usual = 2.0 * np.sqrt((speed**2).mean())  # those at rest now are about to be as fast
         speed = np.append(speed + usual, motion.speeds(self._walls))
@@ -650,6 +762,7 @@ def resume(folder: str | Path, force: Force | None = None) -> Simulation:
     try:
         simulation.model = model if force is None else replace(model, force=force)
         simulation.seconds = {"steps": 0.0, "upkeep": 0.0}
+        simulation._drag = None
         for name in NUMBERS:
             setattr(simulation, name, numbers[name])
         for name in STATE:

@@ -15,16 +15,36 @@ from grainmesh.walls import Wall
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 #: Most overlap of discs, or of a disc and a wall, at the start, in (smaller) radii.
 MOST_AT_START = 0.05
+#: The same of two fixed discs; `pairs` needs no more.
+MOST_OF_FIXED = 0.3
 #: Longest way of a disc or wall in one step, in smallest radii: then none jumps over another, and
 #: overlaps that grow until the next upkeep do not pass a radius, so that edges show them (`pairs`).
 FARTHEST = 0.5 * WAY
 
 
+def fixed_of(fixed: ArrayLike | None, n: int) -> Mask:
+    """Which of n particles are fixed (n,), from such an array, or from their numbers."""
+    given = np.asarray([] if fixed is None else fixed)
+    if given.dtype == np.bool_ and given.shape == (n,):
+        return given.copy()
+    if given.ndim != 1 or (len(given) and not np.issubdtype(given.dtype, np.integer)):
+        raise InputError(
+            f"fixed needs one bool for each of the {n} particles, or the numbers of those fixed"
+        )
+    found = np.zeros(n, np.bool_)
+    for i in given.astype(np.int64):
+        if not 0 <= i < n:
+            raise InputError(f"fixed: there is no particle {i}, they are numbered 0 to {n - 1}")
+        found[i] = True
+    return found
+
+
 def state_of(
-    particles: Particles, velocity: ArrayLike, spin: ArrayLike, dt: float
+    particles: Particles, velocity: ArrayLike, spin: ArrayLike, dt: float, fixed: Mask
 ) -> tuple[Float, Float]:
     """State (n, 12) and constants (n, 6) of discs, see `motion`; arguments as of `Simulation`."""
     n, radius = len(particles), particles.radius
@@ -34,6 +54,8 @@ def state_of(
     p[:, IM], p[:, IJ] = 1.0 / mass, 2.0 / mass  # I = m r²/2
     s[:, [HX, HY]] = rows("velocity", velocity, n)
     s[:, HS] = radius * rows("spin", spin, n, width=None)
+    p[fixed] = 0.0
+    s[np.flatnonzero(fixed)[:, None], [HX, HY, HS]] = 0.0
     speed = np.hypot(s[:, HX], s[:, HY])
     i, farthest = int(np.argmax(speed)), FARTHEST * radius.min()
     if speed[i] * dt > farthest:
@@ -79,9 +101,10 @@ def law_of(model: Model) -> Float:
     return np.array([*springs, c.friction, *model.gravity])
 
 
-def step_of(model: Model, particles: Particles) -> float:
+def step_of(model: Model, particles: Particles, fixed: Mask) -> float:
     """Step of a model [s], refused if too large for the lightest pair or overdamped ones."""
-    mass = np.sort(particles.density * np.pi * particles.diameter**2 / 4.0)
+    mass = particles.density * np.pi * particles.diameter**2 / 4.0
+    mass = np.sort(mass if fixed.all() else mass[~fixed])
     pair = mass[0] * mass[min(1, len(mass) - 1)] / (mass[0] + mass[min(1, len(mass) - 1)])
     model.contact.contact_time(mass[-1])  # the heaviest, on a wall, is damped most
     # Dashpots see velocities foretold, stable for rates below 1/Δt; a disc that spins among six
@@ -112,8 +135,8 @@ def refuse_fast_walls(walls: tuple[Wall, ...], speeds: Float, dt: float, least: 
             )
 
 
-def refuse_overlap(model: Model, particles: Particles) -> None:
-    """Raise if discs overlap by more than `MOST_AT_START`."""
+def refuse_overlap(model: Model, particles: Particles, fixed: Mask) -> None:
+    """Raise if discs overlap by more than `MOST_AT_START`, or fixed ones by `MOST_OF_FIXED`."""
     r = particles.radius
     found = close_pairs(model.box, particles, 0.0)
     if (found[:, 0] == found[:, 1]).any():
@@ -121,11 +144,12 @@ def refuse_overlap(model: Model, particles: Particles) -> None:
     i, j = found.T
     distance = np.hypot(*model.box.separation(particles.x[i], particles.x[j]).T)
     share = (r[i] + r[j] - distance) / np.minimum(r[i], r[j])
-    worst = int(np.argmax(share)) if len(share) else 0
-    if len(share) and share[worst] > MOST_AT_START:
+    most = np.where(fixed[i] & fixed[j], MOST_OF_FIXED, MOST_AT_START)
+    worst = int(np.argmax(share / most)) if len(share) else 0
+    if len(share) and share[worst] > most[worst]:
         raise InputError(
             f"particles {i[worst]} and {j[worst]} overlap by {100 * share[worst]:.3g} % of the "
-            f"smaller radius, {100 * MOST_AT_START:g} % is taken at the start: move them apart "
+            f"smaller radius, {100 * most[worst]:g} % is taken at the start: move them apart "
             "(grainmesh.relax(model, particles) does)"
         )
 
@@ -133,6 +157,8 @@ def refuse_overlap(model: Model, particles: Particles) -> None:
 __all__ = [
     "FARTHEST",
     "MOST_AT_START",
+    "MOST_OF_FIXED",
+    "fixed_of",
     "law_of",
     "refuse_fast_walls",
     "refuse_overlap",
