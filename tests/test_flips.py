@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull
 
 from grainmesh import arrange
 from grainmesh.domain import Box
-from grainmesh.flips import remove, repair
+from grainmesh.flips import insert, remove, repair
 from grainmesh.particles import Particles
 from grainmesh.triangulation import triangulate
 
@@ -46,6 +46,20 @@ class Mesh:
             self.free = number[self.free[keep[self.free]]]
             self.points, self.weight = self.points[keep], self.weight[keep]
         return ok
+
+    def insert(self, x, weight):
+        """Put points in; how many went."""
+        first, size = len(self.points), len(self.arrays[0])
+        self.points, self.weight = np.vstack([self.points, x]), np.append(self.weight, weight)
+        new = np.arange(first, len(self.points))
+        self.free = np.append(self.free, new)
+        self.arrays = [
+            np.concatenate([a, np.full((2 * len(x), *a.shape[1:]), -9, np.int32)])
+            for a in self.arrays
+        ]
+        size, put = insert(self.points, self.weight, self.period, *self.arrays, size, new)
+        self.arrays = [a[:size] for a in self.arrays]
+        return put
 
     def move(self, step):
         """Displace the free points, inside the walls if there are any."""
@@ -526,3 +540,116 @@ def test_vertices_leave_the_smallest_periodic_boxes(n, seed, aspect):
         if meets:
             return
         assert mesh.repair()[2]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    n=st.integers(12, 40),
+    more=st.integers(1, 40),
+    seed=st.integers(0, 10**6),
+    kind=st.sampled_from(kinds),
+)
+def test_vertices_enter_the_power_triangulation(n, more, seed, kind):
+    mesh, rng = a_case(n, seed, *kind), np.random.default_rng(seed)
+    x = rng.uniform(0.01, 0.99, (20 * more, 2)) * mesh.box.size
+    away = np.stack([np.hypot(*mesh.box.separation(x, y).T) for y in mesh.points], axis=1)
+    x = x[(away > np.sqrt(mesh.weight)).all(axis=1)][:more]  # outside all discs: none is hidden
+    hops = rng.integers(-3, 4, x.shape) * kind[0]
+    assert mesh.insert(x + hops * mesh.period, np.zeros(len(x))) == len(x)
+    is_valid(mesh)  # without a flip more
+    assert mesh.edges == lifted_hull(mesh, reach=2)
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+def test_vertices_come_and_go_while_all_move(periodic):
+    mesh, rng = a_case(60, 1, periodic, 1.0), np.random.default_rng(1)
+    mesh.weight[:] = 0.0
+    came = 0
+    for turn in range(300):
+        before, step = mesh.points.copy(), 0.05 * rng.normal(size=(len(mesh.free), 2))
+        mesh.move(step)
+        while (mesh.areas <= 0.0).any():
+            mesh.points[:], step = before, 0.5 * step
+            mesh.move(step)
+        if len(mesh.free) > 40:
+            assert mesh.remove(rng.choice(mesh.free, rng.integers(4), replace=False))
+        x = rng.uniform(0.1, 0.9, (rng.integers(4), 2)) * mesh.box.size
+        came += mesh.insert(x, np.zeros(len(x)))
+        is_whole(mesh)
+        assert mesh.repair()[2]
+        if turn % 20 == 0:
+            assert mesh.edges == lifted_hull(mesh, reach=2)
+    assert came > 300
+
+
+def test_what_left_comes_back_to_the_same_triangles():
+    for periodic in (False, True):
+        mesh = a_case(50, 2, periodic, 1.0)
+        x, before, n = mesh.points.copy(), len(mesh.edges), len(mesh.points)
+        out = mesh.free[-5:]
+        points, weight = mesh.points[out], mesh.weight[out]
+        assert mesh.remove(out)
+        assert mesh.insert(points, weight) == 5
+        assert len(mesh.points) == n
+        is_valid(mesh)
+        assert len(mesh.edges) == before
+        assert mesh.edges == lifted_hull(mesh)
+        assert set(map(tuple, mesh.points)) == set(map(tuple, x))
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+def test_vertices_on_edges_split_them(periodic):
+    # Pitch 1: sites, centres of squares and middles of sides are exact.
+    mesh = Mesh(Box(8.0, 8.0, periodic), square(8))
+    size = len(mesh.arrays[0])
+    i, j = (a.ravel() for a in np.meshgrid(np.arange(8), np.arange(7)))
+    middles = np.column_stack([i + 0.5, j + 1.0])
+    assert mesh.insert(middles, np.full(56, mesh.weight[0])) == 56
+    assert len(mesh.arrays[0]) == size + 112
+    is_whole(mesh)
+    assert mesh.repair()[2]
+    is_valid(mesh)
+
+
+def test_vertices_on_the_boundary_split_it():
+    mesh = a_case(40, 1, False, 1.0)
+    size, width, height = len(mesh.arrays[0]), *mesh.box.size
+    s = np.array([0.123, 0.456, 0.789])
+    sides = [
+        np.column_stack(place)
+        for place in (
+            (s * width, 0.0 * s), (s * width, 0.0 * s + height),
+            (0.0 * s, s * height), (0.0 * s + width, s * height),
+        )
+    ]  # fmt: skip
+    x = np.vstack(sides)
+    assert mesh.insert(x, np.full(12, mesh.weight.min())) == 12
+    assert len(mesh.arrays[0]) == size + 12  # one each
+    is_valid(mesh)
+    assert mesh.edges == lifted_hull(mesh)
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+def test_what_has_no_place_does_not_enter(periodic):
+    mesh = a_case(40, 1, periodic, 1.0)
+    inside, size = [0.4217, 0.3123] * mesh.box.size, len(mesh.arrays[0])
+    taken = [mesh.points[3]] if periodic else [mesh.points[3], [-0.1, 1.0], [1.0, 1e9]]
+    for bad in taken:
+        mesh = a_case(40, 1, periodic, 1.0)
+        assert mesh.insert(np.array([inside, bad, inside * 1.1]), np.zeros(3)) == 1
+        assert len(mesh.arrays[0]) == size + 2
+        fits_together(mesh)
+        assert mesh.repair()[2]
+
+
+@settings(max_examples=60, deadline=None)
+@given(n=st.integers(2, 8), seed=st.integers(0, 10**6), aspect=st.sampled_from([1.0, 2.3, 11.0]))
+def test_vertices_enter_the_smallest_periodic_boxes(n, seed, aspect):
+    box = Box(aspect, 1.0, periodic=True)
+    x = np.random.default_rng(seed).uniform(0, 1, (n, 2)) * box.size
+    mesh = Mesh(box, Particles(x[:1], 0.01))
+    for y in x[1:]:
+        assert mesh.insert(y[None], mesh.weight[:1]) == 1
+        is_whole(mesh)
+        assert mesh.repair()[2]
+    assert mesh.edges == lifted_hull(mesh, reach=12 if aspect > 10 else 4)

@@ -32,6 +32,10 @@ a ring of more has two ears, and v is in one at most (G. H. Meisters, Amer. Math
         /  v  \     --->     /     \                                                          (2)
        / /   \ \            /       \
       a --------- b        a ------- b
+
+and a vertex enters the same way back: a walk towards it finds the triangle that holds it, Eq. (2)
+is done in reverse, and edges opposite v that fail are flipped. On an edge, one of the three
+triangles is flat and is flipped away at once, or dropped at the boundary.
 """
 
 from __future__ import annotations
@@ -177,6 +181,156 @@ def remove(points, period, triangles, neighbours, shifts, vertices):  # type: ig
 
 
 @njit(cache=True)
+def insert(points, weight, period, triangles, neighbours, shifts, size, vertices):  # type: ignore[no-untyped-def]
+    """Put vertices into the triangles that hold them, by Eq. (2) in reverse and flips.
+
+    Parameters
+    ----------
+    points, weight, period
+        As for `repair`.
+    triangles, neighbours, shifts
+        As for `repair`, with positive triangles, in the first `size` rows, and two rows to spare
+        for each vertex.
+    size : int
+        Number of triangles.
+    vertices : (q,) int
+        Vertices to put in, in no triangle so far. It is faster if one is near the one before.
+
+    Returns
+    -------
+    size : int
+        Number of triangles now, the first rows of the arrays.
+    put : int
+        How many vertices went in: all, or those before the first that has no place of its own,
+        because it lies outside, where another vertex is, or is not found.
+
+    Notes
+    -----
+    If the triangulation was the power triangulation of the other points, it is that of all now (but
+    for small periodic boxes, where a vertex may meet itself, and hidden vertices): `repair` tells.
+    """
+    stack = np.empty((64, 2), np.int32)
+    t, put = 0, 0
+    for new in vertices:
+        t, k, zeros, v = _locate(points, period, triangles, neighbours, shifts, size, t, new)
+        if zeros > 1:
+            return size, put
+        u, j = neighbours[t, k], 0
+        if u >= 0:
+            j = _back(triangles, neighbours, shifts, t, k, u)
+        _split(triangles, neighbours, shifts, t, k, size, v)
+        stack, depth = _push(stack, 0, t, 2)
+        stack, depth = _push(stack, depth, size, 2)
+        last = size + 1  # (b, c, v)
+        size += 2
+        if zeros == 0:
+            stack, depth = _push(stack, depth, last, 2)
+        elif u >= 0:  # v on bc
+            a, _, _, d = _corners(triangles, shifts, last, 2, u, j)
+            _flip(triangles, neighbours, shifts, last, 2, u, j, a, d)
+            stack, depth = _push(stack, depth, last, 2)
+            stack, depth = _push(stack, depth, u, (j + 2) % 3)
+        else:
+            size -= 1
+            neighbours[t, 0], neighbours[last - 1, 1] = -1, -1
+        put += 1
+        while depth > 0:
+            depth -= 1
+            s, k = stack[depth, 0], stack[depth, 1]  # v is corner k
+            u = neighbours[s, k]
+            if u < 0:
+                continue
+            j = _back(triangles, neighbours, shifts, s, k, u)
+            a, b, c, d = _corners(triangles, shifts, s, k, u, j)
+            if (
+                in_circle(points, weight, period, a, b, c, d) <= 0
+                or orientation(points, period, a, b, d) <= 0
+                or orientation(points, period, d, c, a) <= 0
+            ):
+                continue
+            _flip(triangles, neighbours, shifts, s, k, u, j, a, d)
+            stack, depth = _push(stack, depth, s, k)
+            stack, depth = _push(stack, depth, u, (j + 2) % 3)
+    return size, put
+
+
+@njit(cache=True, forceinline=True)
+def _push(stack, depth, t, k):  # type: ignore[no-untyped-def]
+    """Corner k of triangle t on top of the stack, which grows if it must; its depth."""
+    if depth == len(stack):
+        stack = np.concatenate((stack, np.empty_like(stack)))
+    stack[depth, 0], stack[depth, 1] = t, k
+    return stack, depth + 1
+
+
+@njit(cache=True)
+def _locate(points, period, triangles, neighbours, shifts, size, t, v):  # type: ignore[no-untyped-def]
+    """The triangle that holds vertex v, found by a walk from triangle t.
+
+    Also a corner k, the number of edges that v lies on, the one opposite k if it is one, and the
+    site of v among the images of that triangle. Edges: 3 if there is no such triangle.
+    """
+    first = _site(triangles, shifts, t, 0)
+    p, q = np.int64(0), np.int64(0)
+    if period[0] > 0.0:  # the image near the start
+        p = np.int64(np.round((points[first[0], 0] - points[v, 0]) / period[0])) + first[1]
+        q = np.int64(np.round((points[first[0], 1] - points[v, 1]) / period[1])) + first[2]
+    site = np.int64(v), p, q
+    for _ in range(2 * size + 8):  # it never turns back among power triangles
+        k, zeros, beyond = 0, 0, -1
+        for i in range(3):
+            b, c = (i + 1) % 3, (i + 2) % 3
+            side = orientation(
+                points, period, _site(triangles, shifts, t, b), _site(triangles, shifts, t, c), site
+            )
+            if side < 0:
+                beyond = i
+                break
+            if side == 0:
+                k, zeros = i, zeros + 1
+        if beyond < 0:
+            return t, k, zeros, site
+        u = neighbours[t, beyond]
+        if u < 0:
+            break
+        j = _back(triangles, neighbours, shifts, t, beyond, u)
+        here, there = (
+            _site(triangles, shifts, t, (beyond + 1) % 3),
+            _site(triangles, shifts, u, (j + 2) % 3),
+        )
+        site = site[0], site[1] + there[1] - here[1], site[2] + there[2] - here[2]
+        t = u
+    return t, 0, 3, site
+
+
+@njit(cache=True)
+def _split(triangles, neighbours, shifts, t, k, size, v):  # type: ignore[no-untyped-def]
+    """Eq. (2) in reverse: t = (a, b, c), from k on, becomes abv; rows `size` on are cav and bcv."""
+    rows = t, size, size + 1
+    a, b = _site(triangles, shifts, t, k), _site(triangles, shifts, t, (k + 1) % 3)
+    c = _site(triangles, shifts, t, (k + 2) % 3)
+    # Beyond ab, ca and bc, before any of it changes: two may be one triangle in a periodic box.
+    w, back = np.empty(3, np.int32), np.zeros(3, np.int32)
+    for i in range(3):
+        at = (k + 2 - i) % 3
+        w[i] = neighbours[t, at]
+        if w[i] >= 0:
+            back[i] = _back(triangles, neighbours, shifts, t, at, w[i])
+    corners = (a, b), (c, a), (b, c)
+    beside = (size + 1, size), (t, size + 1), (size, t)
+    for i in range(3):
+        row = rows[i]
+        for end in range(2):
+            site = corners[i][end]
+            triangles[row, end], shifts[row, end, 0], shifts[row, end, 1] = site
+            neighbours[row, end] = beside[i][end]
+        triangles[row, 2], shifts[row, 2, 0], shifts[row, 2, 1] = v
+        neighbours[row, 2] = w[i]
+        if w[i] >= 0:
+            neighbours[w[i], back[i]] = row
+
+
+@njit(cache=True)
 def _next(triangles, neighbours, shifts, t, k):  # type: ignore[no-untyped-def]
     """The next triangle anticlockwise round corner k of triangle t, and its corner there."""
     u = neighbours[t, (k + 1) % 3]
@@ -315,4 +469,4 @@ def _flip(triangles, neighbours, shifts, t, k, u, j, a, d):  # type: ignore[no-u
     triangles[t, k2], triangles[u, j2] = d[0], a[0]
 
 
-__all__ = ["remove", "repair"]
+__all__ = ["insert", "remove", "repair"]
