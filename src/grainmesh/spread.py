@@ -100,13 +100,20 @@ def spread(
     found = diagram(box, inside, radius**2, radius, window)
     # No cell has a point farther from its particle than this: all is finite without a reach.
     far = box.size if box.periodic else np.maximum(np.abs(x), np.abs(x - box.size)).max(axis=0)
-    angle = np.pi / CORNERS
-    same_area = min(reach, 2.0 * float(np.hypot(*far))) * np.sqrt(2.0 * angle / np.sin(2.0 * angle))
-    turn = angle * (2.0 * np.arange(CORNERS) + 1.0)
-    circle = same_area * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    reach = min(reach, 2.0 * float(np.hypot(*far)))
+    square, circle = _regular(4, 2.0 * reach), _regular(CORNERS, reach)
     period = box.size if box.periodic else np.zeros(2)
     # Copies: a read-only array would be compiled for once more.
-    cell = inside.copy(), radius**2, found.start, found.neighbour, found.shift, period, circle
+    cell = (
+        inside.copy(),
+        radius**2,
+        found.start,
+        found.neighbour,
+        found.shift,
+        period,
+        square,
+        circle,
+    )
     mesh = points.copy(), triangles.copy(), neighbours.copy(), shifts.copy()
     area, missed, start, vertex, share = _shares(*cell, window, not box.periodic, *mesh)
     if missed.any():
@@ -122,6 +129,15 @@ def spread(
         )
     area.setflags(write=False)
     return Spread(area, csr_array((share, vertex, start), shape=(len(x), len(points))))
+
+
+def _regular(corners: int, radius: float) -> Float:
+    """Regular polygon with the area of a circle about 0, sides across the axes, (corners, 2)."""
+    angle = np.pi / corners
+    turn = angle * (2.0 * np.arange(corners) + 1.0)
+    distance = radius * np.sqrt(2.0 * angle / np.sin(2.0 * angle))
+    polygon: Float = distance * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    return polygon
 
 
 @njit(cache=True)
@@ -171,14 +187,14 @@ def _clip(p, m, q, du, dv, c, edge):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _cell(  # type: ignore[no-untyped-def]
-    i, x, weight, start, other, image, period, circle, window, walls, p, q
+    i, x, weight, start, other, image, period, outline, window, walls, p, q
 ):
-    """C_i relative to x_i: number of vertices, the polygon, and what is spare."""
-    m, at_wall = len(circle), False
+    """C_i within an outline, relative to x_i: number of vertices, polygon, and what is spare."""
+    m, at_wall = len(outline), False
     if start[i] == start[i + 1]:  # not even sides of the window
         m = 0
     for k in range(m):
-        p[k, 0], p[k, 1] = circle[k, 0], circle[k, 1]
+        p[k, 0], p[k, 1] = outline[k, 0], outline[k, 1]
     for e in range(start[i], start[i + 1]):
         j = other[e]
         if j < 0:
@@ -220,7 +236,7 @@ def _overlap(cell, m, corner, p, q):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _shares(  # type: ignore[no-untyped-def]
-    x, weight, start, other, image, period, circle, window, walls,
+    x, weight, start, other, image, period, square, circle, window, walls,
     points, triangles, neighbours, shifts,
 ):  # fmt: skip
     """Areas, whose walk failed, and the rows of S: first entries, vertices, values."""
@@ -239,12 +255,19 @@ def _shares(  # type: ignore[no-untyped-def]
     slot = np.full(len(points), -1, np.int64)  # entry of each vertex in the row
     seen = np.full(t_max, -1, np.int32)  # the last particle that came by
     todo = np.empty((64, 3), np.int32)  # triangles of the walk and their images
+    inner = 0.25 * ((circle[0] + circle[-1]) ** 2).sum()  # of the circle inscribed, squared
     size = 0
     for i in range(n):
         first[i] = size
-        m, cell, spare = _cell(
-            i, x, weight, start, other, image, period, circle, window, walls, cell, spare
-        )
+        for outline in (square, circle):  # few cells of a dense bed come near the circle
+            m, cell, spare = _cell(
+                i, x, weight, start, other, image, period, outline, window, walls, cell, spare
+            )
+            farthest = 0.0
+            for k in range(m):
+                farthest = max(farthest, cell[k, 0] ** 2 + cell[k, 1] ** 2)
+            if farthest <= inner:
+                break
         area[i] = _moments(cell, m)[0]
         t = star[i]
         if area[i] <= 0.0 or t < 0:
