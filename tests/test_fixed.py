@@ -157,3 +157,14 @@ def test_fixed_discs_may_overlap_more(gap, fixed, taken):
     else:
         with pytest.raises(gm.InputError, match=r"30 %|5 %"):
             gm.Simulation(model, particles, fixed=fixed)
+
+
+def test_relax_pushes_others_off_fixed_discs():
+    box = gm.Box(0.1, 0.1)
+    model = gm.Model(box, gm.Contact(1e4))
+    x = np.array([[0.0, 0.05], [0.0086, 0.05], [0.012, 0.055], [0.02, 0.002]])
+    with pytest.raises(gm.InputError, match="overlap"):
+        gm.Simulation(model, gm.Particles(x, D), fixed=[0, 1])
+    free = gm.relax(model, gm.Particles(x, D), fixed=[0, 1])
+    assert np.array_equal(free.x[:2], x[:2])
+    gm.Simulation(model, free, fixed=[0, 1])

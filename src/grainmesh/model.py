@@ -15,6 +15,7 @@ from grainmesh.errors import InputError
 from grainmesh.walls import Wall
 
 Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 #: Stands for a force that is a function where a model is kept in a file.
 FUNCTION = "function"
 
@@ -115,4 +116,21 @@ class Model:
         return (*self.walls, *rest)
 
 
-__all__ = ["Model"]
+def fixed_of(fixed: ArrayLike | None, n: int) -> Mask:
+    """Which of n particles are fixed (n,), from such an array, or from their numbers."""
+    given = np.asarray([] if fixed is None else fixed)
+    if given.dtype == np.bool_ and given.shape == (n,):
+        return given.copy()
+    if given.ndim != 1 or (len(given) and not np.issubdtype(given.dtype, np.integer)):
+        raise InputError(
+            f"fixed needs one bool for each of the {n} particles, or the numbers of those fixed"
+        )
+    found = np.zeros(n, np.bool_)
+    for i in given.astype(np.int64):
+        if not 0 <= i < n:
+            raise InputError(f"fixed: there is no particle {i}, they are numbered 0 to {n - 1}")
+        found[i] = True
+    return found
+
+
+__all__ = ["Model", "fixed_of"]

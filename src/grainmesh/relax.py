@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from grainmesh.errors import InputError
 from grainmesh.measure import wall_overlaps
-from grainmesh.model import Model
+from grainmesh.model import Model, fixed_of
 from grainmesh.motion import R
 from grainmesh.pairs import Near, walls_closer
 from grainmesh.particles import Particles, close_pairs, touches
@@ -18,7 +19,7 @@ SMALL, ROUNDS = 1e-2, 2000
 PUSH, KEEP = 0.2, 0.9
 
 
-def relax(model: Model, particles: Particles) -> Particles:
+def relax(model: Model, particles: Particles, fixed: ArrayLike | None = None) -> Particles:
     """Discs pushed apart, and off the walls of a model, until hardly any overlap is left.
 
     Each round pushes all discs that overlap apart, and keeps part of the last push (a heavy ball).
@@ -27,6 +28,8 @@ def relax(model: Model, particles: Particles) -> Particles:
     ----------
     model : Model
     particles : Particles
+    fixed : array_like, optional
+        Particles that stay where they are, as in `Simulation`, whatever they overlap each other.
 
     Returns
     -------
@@ -41,6 +44,7 @@ def relax(model: Model, particles: Particles) -> Particles:
     if not isinstance(model, Model) or not isinstance(particles, Particles):
         raise InputError("relax takes a grainmesh.Model, then grainmesh.Particles")
     box, r = model.box, particles.radius
+    held = fixed_of(fixed, len(r))
     for i in np.flatnonzero(~touches(box, particles)) if not box.periodic else ():
         raise InputError(f"relax: particle {i} lies outside the box: check the unit, or drop it")
     walls = table(model.all_walls, 0.0)
@@ -48,12 +52,12 @@ def relax(model: Model, particles: Particles) -> Particles:
     state = np.zeros((len(r), 12))
     state[:, R] = r
     x, step, worst = np.array(particles.x), np.zeros((len(r), 2)), np.inf
-    still = np.zeros(len(r) + len(walls))
+    still = np.append(np.where(held, -np.inf, 0.0), np.zeros(len(walls)))  # fixed meet no wall
     angle = np.arange(len(r))  # where discs that share a place are pushed to
     period = box.size if box.periodic else np.zeros(2)
     for _ in range(ROUNDS):
         found = close_pairs(box, Particles(x, 2.0 * r), 0.0)
-        i, j = found[found[:, 0] != found[:, 1]].T
+        i, j = found[(found[:, 0] != found[:, 1]) & ~held[found].all(axis=1)].T
         away = box.separation(x[i], x[j])
         distance = np.hypot(*away.T)
         same = distance < 1e-9 * r[i]
@@ -76,6 +80,7 @@ def relax(model: Model, particles: Particles) -> Particles:
         np.add.at(step, j, push)
         np.add.at(step, i, -push)
         np.add.at(step, owner, -2.0 * PUSH * np.maximum(depth, 0.0)[:, None] * normal)
+        step[held] = 0.0
         x += step
     raise InputError(
         f"relax: discs still overlap by {100.0 * worst:.3g} % of a radius, they do not fit: "

@@ -33,7 +33,7 @@ from grainmesh.measure import (
     overlaps,
     wall_overlaps,
 )
-from grainmesh.model import Force, Model
+from grainmesh.model import Force, Model, fixed_of
 from grainmesh.motion import (
     EX,
     EY,
@@ -62,7 +62,6 @@ from grainmesh.progress import bar
 from grainmesh.start import (
     FARTHEST,
     MOST_AT_START,
-    fixed_of,
     law_of,
     refuse_fast_walls,
     refuse_overlap,

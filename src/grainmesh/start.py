@@ -26,23 +26,6 @@ MOST_OF_FIXED = 0.3
 FARTHEST = 0.5 * WAY
 
 
-def fixed_of(fixed: ArrayLike | None, n: int) -> Mask:
-    """Which of n particles are fixed (n,), from such an array, or from their numbers."""
-    given = np.asarray([] if fixed is None else fixed)
-    if given.dtype == np.bool_ and given.shape == (n,):
-        return given.copy()
-    if given.ndim != 1 or (len(given) and not np.issubdtype(given.dtype, np.integer)):
-        raise InputError(
-            f"fixed needs one bool for each of the {n} particles, or the numbers of those fixed"
-        )
-    found = np.zeros(n, np.bool_)
-    for i in given.astype(np.int64):
-        if not 0 <= i < n:
-            raise InputError(f"fixed: there is no particle {i}, they are numbered 0 to {n - 1}")
-        found[i] = True
-    return found
-
-
 def state_of(
     particles: Particles, velocity: ArrayLike, spin: ArrayLike, dt: float, fixed: Mask
 ) -> tuple[Float, Float]:
@@ -158,7 +141,6 @@ __all__ = [
     "FARTHEST",
     "MOST_AT_START",
     "MOST_OF_FIXED",
-    "fixed_of",
     "law_of",
     "refuse_fast_walls",
     "refuse_overlap",
