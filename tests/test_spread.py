@@ -133,10 +133,10 @@ def test_a_uniform_bed_is_uniform(kind):
 def test_particles_that_lie_outside_their_cells():
     """A small disc that a large one covers beyond its centre: the walk starts elsewhere."""
     box, rng = Box(1.0, 1.0), np.random.default_rng(0)
-    nodes, _ = scattered(box, 60, rng)
+    nodes, _ = scattered(box, 400, rng)
     pair = np.array([[0.5, 0.5], [0.72, 0.53]])
-    nodes = nodes[np.hypot(*(nodes - pair[1]).T) > 0.03]
-    radius = np.array([0.3, 0.15])
+    nodes = nodes[np.hypot(*(nodes - pair[1]).T) > 0.01]
+    radius = np.array([0.3, 0.12])
     assert np.hypot(*(pair[1] - pair[0])) ** 2 < radius[0] ** 2 - radius[1] ** 2
     mesh = delaunay(box, np.vstack([pair, nodes]))
     found = spread_on(mesh, box, pair, radius)

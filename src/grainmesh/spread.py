@@ -104,16 +104,8 @@ def spread(
     square, circle = _regular(4, 2.0 * reach), _regular(CORNERS, reach)
     period = box.size if box.periodic else np.zeros(2)
     # Copies: a read-only array would be compiled for once more.
-    cell = (
-        inside.copy(),
-        radius**2,
-        found.start,
-        found.neighbour,
-        found.shift,
-        period,
-        square,
-        circle,
-    )
+    bonds = found.start, found.neighbour, found.shift
+    cell = inside.copy(), radius**2, *bonds, period, square, circle
     mesh = points.copy(), triangles.copy(), neighbours.copy(), shifts.copy()
     area, missed, start, vertex, share = _shares(*cell, window, not box.periodic, *mesh)
     if missed.any():
