@@ -326,7 +326,7 @@ def _bed(box: Box, particles: Particles, law: Law, gap: Gap) -> _Bed:
     cell = cells(box, particles)
     eps = np.maximum(cell.porosity, LEAST_POROSITY)
     lam = _permeability(law, 1.0 - cell.solid.sum() / box.area, triangulation, gap)
-    mesh, vertex, _ = flow_mesh(
+    mesh, vertex, _, _ = flow_mesh(
         triangulation.box,
         triangulation.points,
         triangulation.triangles,

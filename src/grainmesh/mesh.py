@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from netgen.meshing import IdentificationType
@@ -28,9 +28,28 @@ Float = NDArray[np.float64]
 Int = NDArray[np.integer[Any]]
 
 
-def flow_mesh(
-    box: Box, points: Float, triangles: Int, shifts: Int, neighbours: Int
-) -> tuple[Any, Int, Int]:
+class Grid(NamedTuple):
+    """A finite-element mesh and what its vertices are.
+
+    Attributes
+    ----------
+    mesh : ngsolve.Mesh
+        Its boundaries are named as in `domain.SIDES`.
+    vertex : ndarray, shape (v,)
+        Point of the triangulation that each vertex shows.
+    shift : ndarray, shape (v, 2)
+        At which periodic image.
+    corner : ndarray, shape (t, 3)
+        Vertices of each triangle.
+    """
+
+    mesh: Any
+    vertex: NDArray[np.int64]
+    shift: NDArray[np.int64]
+    corner: NDArray[np.int64]
+
+
+def flow_mesh(box: Box, points: Float, triangles: Int, shifts: Int, neighbours: Int) -> Grid:
     """NGSolve mesh of a triangulation.
 
     A torus is cut open along edges: each triangle lies where its middle is inside the box, and
@@ -48,12 +67,7 @@ def flow_mesh(
 
     Returns
     -------
-    mesh : ngsolve.Mesh
-        Its boundaries are named as in `domain.SIDES`.
-    vertex : ndarray, shape (v,)
-        Point that each vertex of the mesh shows.
-    shift : ndarray, shape (v, 2)
-        At which periodic image.
+    Grid
     """
     if box.periodic:
         shift = shifts.astype(np.int64)
@@ -93,7 +107,7 @@ def flow_mesh(
             on = (places[ends][:, :, axis] == end * box.size[axis]).all(axis=1)
             region = ngmesh.AddRegion(name, dim=1)
             ngmesh.AddElements(dim=1, index=region, data=ends[on], base=0)
-    return Mesh(ngmesh), vertex, shift
+    return Grid(Mesh(ngmesh), vertex, shift, corner)
 
 
 def _identifications(triangles: Int, point: Int, shift: Int) -> list[tuple[Int, Int]]:
@@ -188,4 +202,4 @@ def hats(mesh: Any) -> Float:
     return moments(mesh, CoefficientFunction(1.0), 0)
 
 
-__all__ = ["flow_mesh", "hats", "linear", "moments", "spaces"]
+__all__ = ["Grid", "flow_mesh", "hats", "linear", "moments", "spaces"]

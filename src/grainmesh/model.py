@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from grainmesh.contact import Contact
 from grainmesh.domain import SIDES, Box
 from grainmesh.errors import InputError
+from grainmesh.medium import Fluid
 from grainmesh.walls import Wall
 
 Float = NDArray[np.float64]
@@ -47,6 +48,8 @@ class Model:
         the particles that are still there (`Simulation.ids`).
     dt : float, optional
         Step [s]; if not given, a fiftieth of the shortest contact time.
+    fluid : Fluid, optional
+        What flows between the particles.
 
     Raises
     ------
@@ -62,6 +65,7 @@ class Model:
     escape: str = "error"
     force: Force | ArrayLike | None = None
     dt: float | None = None
+    fluid: Fluid | None = None
 
     def __post_init__(self) -> None:
         for name, kind in (("box", Box), ("contact", Contact)):
@@ -88,6 +92,15 @@ class Model:
         for side in own:
             if own.count(side) > 1 or side in sides:
                 raise InputError(f"model: the {side} side is given twice, as walls or as open")
+        if self.fluid is not None and not isinstance(self.fluid, Fluid):
+            raise InputError("model: fluid must be a grainmesh.Fluid")
+        if self.fluid is not None and sides:
+            raise InputError(
+                "model: particles cannot leave a box with fluid, drop open=; the fluid can, say "
+                "fluid sides={...: Outlet()}"
+            )
+        if self.fluid is not None and self.box.periodic and self.fluid.sides:
+            raise InputError("model: a periodic box has no sides, drop those of the fluid")
         if self.box.periodic and (own or sides):
             raise InputError(
                 "model: a periodic box has no sides, drop open= and Wall.of, or periodic=True"

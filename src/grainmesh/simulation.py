@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from grainmesh import checkpoint, motion, pairs
 from grainmesh.cells import wrapped
+from grainmesh.coupling import Coupling, Discs
 from grainmesh.domain import SIDES
 from grainmesh.errors import InputError, RunError
 from grainmesh.living import Living, living
@@ -80,7 +81,7 @@ LASTS, THINNEST = 150, 0.01
 #: Steps after which a copy of the state is kept, for the case that the next ones fail.
 CHUNK = 1000
 #: What a checkpoint holds besides lists and mesh.
-NUMBERS = ("step", "dt", "history", "upkeeps", "sorted")
+NUMBERS = ("step", "dt", "history", "upkeeps", "sorted", "halved")
 STATE = ("s", "p", "slot", "rank", "moved", "seen", "books", "density")
 
 
@@ -107,6 +108,10 @@ class Simulation:
         Steps done, step [s] and time [s].
     history : list of dict
         Rows of `measure`, added by `run`.
+    flow : Coupling or None
+        The fluid: fields, forces on particles, and mesh.
+    halved : int
+        Steps of the flow that were tried again with half the length.
     seconds, upkeeps : dict, int
         Time spent on steps and on upkeep of triangulation and lists; number of upkeeps.
 
@@ -140,6 +145,8 @@ class Simulation:
         self._s, self._p = state_of(particles, velocity, spin, self.dt, held)
         self._drag: Float | None = None
         self._density = particles.density  # by the user's number, of all that were there
+        self.halved = 0
+        self.flow: Coupling | None = None
         self._slot = np.arange(n)  # the user's number of each disc
         self._law = law_of(model)
         self._walls = table(model.all_walls, model.contact.friction)
@@ -180,6 +187,17 @@ class Simulation:
         self._books[:] = 0.0
         # The first step then starts with half a push, `motion` Eq. (2).
         self._s[:, [HX, HY, HS]] = self._s[:, [VX, VY, VS]] - 0.5 * self.dt * self._acceleration()
+        if model.fluid is not None:
+            if ledger:
+                raise InputError("a simulation with fluid keeps no ledger, drop ledger=True")
+            v = np.array(self._users(self._s[:, [VX, VY]]))
+            self.flow = Coupling(
+                model.box, model.fluid, model.gravity, self._discs(), particles.x, v
+            )
+
+    def _discs(self) -> Discs:
+        d = self._users(2.0 * self._s[:, R])
+        return Discs(d, self._density[self.ids] * np.pi * d**2 / 4.0, ~self.fixed)
 
     @property
     def t(self) -> float:
@@ -427,9 +445,69 @@ class Simulation:
         mesh = vars(self._mesh)
         arrays |= {f"mesh/{key}": mesh[key] for key in mesh if isinstance(mesh[key], np.ndarray)}
         numbers["mesh"] = {key: mesh[key] for key in mesh if isinstance(mesh[key], int)}
+        if self.flow is not None:
+            arrays |= {f"flow/{key}": value for key, value in self.flow.arrays().items()}
+            numbers["flow"] = self.flow.numbers()
         return checkpoint.write(folder, self.model, numbers, arrays)
 
     def _advance(self, steps: int, tell: Callable[[int], None]) -> None:
+        if self.flow is None:
+            self._collide(steps, tell)
+            return
+        end = self.step + steps
+        while self.step < end:
+            self._flow_step(end - self.step)
+            tell(self.step)
+
+    def _flow_step(self, most: int) -> None:
+        """One step of fluid and particles, of at most so many steps of contacts (`coupling`).
+
+        It is halved where triangles would turn over or the solver does not converge.
+        """
+        flow = self.flow
+        assert flow is not None
+        good, state, numbers, spin = self._copy(), flow.arrays(), flow.numbers(), self.spin
+        steps = flow.steps(self.dt, most)
+        while True:
+            span = steps * self.dt
+            force, drag = flow.push(span)
+            outside = self._outside()
+            try:
+                way, _, spins, impulse = self._push(
+                    steps, flow.velocity, spin, force + outside, drag
+                )
+                if flow.move(way):
+                    flow.solve(span, impulse, outside)
+                    break
+                fault = None
+            except RunError as why:
+                fault = why
+            self._restore(good)
+            flow.back(state, numbers)
+            if steps == 1:
+                raise fault or RunError(
+                    f"the particles turn triangles of the mesh over in a single step at "
+                    f"t = {self.t:g} s: raise the stiffness, or give a smaller Model(dt=...)"
+                )
+            steps //= 2
+            self.halved += 1
+        self._set_velocity(flow.velocity, spins)
+
+    def _outside(self) -> Float:
+        """Force from outside at the present places, in the user's order (n, 2)."""
+        force = self.model.force
+        given = force(self.t, self.x, self.velocity) if callable(force) else force
+        if given is None:
+            return np.zeros((len(self), 2))
+        return np.array(rows("force from outside", given, len(self), ids=self.ids))
+
+    def _set_velocity(self, velocity: Float, spin: Float) -> None:
+        rank, s = self._rank, self._s
+        s[rank[:, None], [VX, VY]] = velocity
+        s[rank, VS] = spin * s[rank, R]
+        s[:, [HX, HY, HS]] = s[:, [VX, VY, VS]] - 0.5 * self.dt * self._acceleration()
+
+    def _collide(self, steps: int, tell: Callable[[int], None]) -> None:
         end = self.step + steps
         pushed = callable(self.model.force) and self._drag is None
         while self.step < end:
@@ -511,7 +589,7 @@ class Simulation:
             self._s[:, [HX, HY, HS]] = v - 0.5 * dt * (contact * inverse + c)
             self._s[:, [FX, FY, T]] = contact + outside
             v, c = v[rank], c[rank]
-            self._advance(steps, lambda step: None)
+            self._collide(steps, lambda step: None)
         except BaseException:
             self._restore(good)
             raise
@@ -775,6 +853,11 @@ def resume(folder: str | Path, force: Force | None = None) -> Simulation:
         simulation._mesh = Living(box=model.box, **parts, **numbers["mesh"])
         simulation._walls = table(model.all_walls, model.contact.friction)
         simulation._law = law_of(model)
+        simulation.flow = None
+        if model.fluid is not None:
+            held = {key[5:]: array for key, array in arrays.items() if key.startswith("flow/")}
+            about = model.box, model.fluid, model.gravity, simulation._discs()
+            simulation.flow = Coupling.resumed(*about, numbers["flow"], held)
     except (KeyError, TypeError) as fault:
         raise InputError(f"{folder}: the checkpoint is incomplete ({fault})") from None
     return simulation

@@ -1,0 +1,791 @@
+r"""One step of fluid and particles together: the only place where they meet.
+
+Between two steps Δt of the flow the discs collide on their own, in many steps of contacts, while
+the fluid acts on disc i with a force that is linear in its velocity. That gives their places and
+the impulse J_i of the contacts. Then flow and particle velocities are found at once: per disc of
+mass m and volume V, both per unit depth,
+
+    c (u_i' - u_i - J_i/m) = (c - 1) d_i + Δt/m [b (<u'>_i - u_i') - V <∇p'>_i + (m - rho V) g]  (1)
+
+with d_i the last u_i' - u_i - J_i/m and c as in `grainmesh.navier`, Eq. (4). Averages are over the
+kernel ψ_i, in which disc i is spread over the vertices v by the shares S_iv of `grainmesh.spread`,
+
+    ψ_i = sum_v S_iv φ_v / h_v,   h_v = ∫φ_v,   <f>_i = ∫ψ_i f,   ε = 1 - sum_i V_i ψ_i,         (2)
+
+so the pressure gradient acts on fluid and discs together as on one medium, and a pressure that
+holds up the weight of the fluid alone, left out everywhere, holds up rho V g of each disc. With
+
+    α = 1/(c + b Δt/m),   u* = c (u_i + J_i/m) + (c - 1) d_i + Δt (1 - rho V/m) g,
+    u_i' = α [u* + Δt/m (b <u'>_i - V <∇p'>_i)]                                                (3)
+
+the discs are eliminated from the momentum of the fluid, which gains b ψ_i (u_i - u), and from the
+volume of the mixture, ∇·(ε u + sum_i V_i ψ_i u_i) = 0:
+
+    B = sum b c α ψ,   E = ε + sum b α (Δt/m) V ψ,   S = sum V² α (Δt/m) ψ,
+    f = sum b α u* ψ,   g = sum V α u* ψ                                                       (4)
+
+in `navier`, Eqs. (1) to (3). What the fluid loses is, to round-off, what the discs get.
+
+While the discs collide, the force is F_i - b_eff (v - u_i): of the last step, less what the
+fluid would resist if it were no more than that of the disc's own cell, of mass m_f = rho ε_i A_i,
+
+    b_eff = b m_f/(m_f + b Δt).                                                                (5)
+
+Were the fluid taken as fixed (b_eff = b), contacts would answer to a drag that the fluid gives up
+as soon as the disc stops, and a bed with b Δt > m_f would shake itself apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from ngsolve import Integrate
+from numpy.typing import NDArray
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import connected_components
+
+from grainmesh.carry import Keys, along_edge, carry, carry_load
+from grainmesh.domain import SIDES, Box
+from grainmesh.drag import Bed
+from grainmesh.errors import InputError, RunError
+from grainmesh.lagged import Lagged, gmres
+from grainmesh.medium import Fluid, Inflow, NoSlip, Outlet, Slip
+from grainmesh.mesh import flow_mesh
+from grainmesh.navier import Operator
+from grainmesh.nodes import Bounded, bounded
+from grainmesh.spread import spread
+
+Float = NDArray[np.float64]
+Arrays = dict[str, NDArray[Any]]
+
+#: Least porosity of a vertex.
+LEAST_POROSITY = 0.02
+#: Longest way of a disc against its neighbours in a step, in diameters; Courant number.
+WAY, COURANT = 1.0 / 7.0, 0.5
+#: Iterations after which the factor is made anew, and at most.
+FEW, MOST = 12, 40
+#: What a checkpoint holds besides the mesh and the unknowns.
+NUMBERS = ("time", "dt", "iterations", "factors")
+STATE = (
+    "velocity", "last", "force", "around", "curl", "drag", "extra", "D", "du", "Q",
+)  # fmt: skip
+TOPOLOGY = ("points", "triangles", "neighbours", "shifts")
+PARTS = ("mesh", "kernel", "matrix", "solve", "rest")
+
+
+@dataclass(frozen=True, eq=False)
+class Discs:
+    """What does not change of the discs: diameter [m], mass and volume per unit depth."""
+
+    diameter: Float
+    mass: Float
+    free: NDArray[np.bool_]
+
+    @property
+    def volume(self) -> Float:
+        """V [m2]."""
+        return 0.25 * np.pi * self.diameter**2
+
+    @property
+    def inverse(self) -> Float:
+        """1/m, 0 for discs that are held [m/kg]."""
+        return np.where(self.free, 1.0 / self.mass, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Kernel:
+    """Eq. (2) at one moment.
+
+    Attributes
+    ----------
+    share : (n, m)
+        S_iv.
+    hats : (m,)
+        h_v; 1 for points that are no vertex.
+    area : (n,)
+        A_i.
+    porosity : (m,)
+        ε at the points, 1 for those that are no vertex.
+    """
+
+    share: csr_array
+    hats: Float
+    area: Float
+    porosity: Float
+
+    def field(self, values: Float) -> Float:
+        """Values at the vertices of sum_i values_i ψ_i, (m,) or (m, 2)."""
+        found: Float = (self.share.T @ values) / (
+            self.hats if values.ndim == 1 else self.hats[:, None]
+        )
+        return found
+
+    def mean(self, moments: Float) -> Float:
+        """<f>_i from ∫φ_v f, (m,) or (m, 2)."""
+        found: Float = self.share @ (
+            moments / (self.hats if moments.ndim == 1 else self.hats[:, None])
+        )
+        return found
+
+
+class Coupling:
+    """Fluid and particles of a simulation, on their mesh.
+
+    Parameters
+    ----------
+    box : Box
+    fluid : Fluid
+    gravity : (float, float)
+        [m/s2].
+    discs : Discs
+    x : (n, 2)
+        Centres [m].
+    velocity : (n, 2)
+        [m/s].
+
+    Attributes
+    ----------
+    mesh : Bounded
+        The triangulation.
+    operator : Operator
+        Velocity and pressure on it.
+    kernel : Kernel
+        For the present places.
+    velocity, force : (n, 2)
+        Of the discs [m/s]; of the fluid on them, without buoyancy [N/m].
+    drag : (n,)
+        b [N s/m2].
+    iterations, factors : int
+        Of the linear solver in the last step; factors made so far.
+    seconds : dict
+        Time spent on each part.
+    """
+
+    def __init__(
+        self,
+        box: Box,
+        fluid: Fluid,
+        gravity: tuple[float, float],
+        discs: Discs,
+        x: Float,
+        velocity: Float,
+    ) -> None:
+        self.box, self.fluid, self.discs = box, fluid, discs
+        self.gravity = np.array(gravity)
+        self.mesh = bounded(box, x, 0.5 * discs.diameter, fluid.spacing)
+        n = len(x)
+        self.velocity, self.last = np.array(velocity), np.zeros((n, 2))
+        self.force, self.around, self.curl = np.zeros((n, 2)), np.zeros((n, 2)), np.zeros(n)
+        self.drag = np.zeros(n)
+        self.time = self.dt = 0.0
+        self.iterations = self.factors = 0
+        self.seconds = dict.fromkeys(PARTS, 0.0)
+        self._factor: Lagged | None = None
+        self._recipe: Arrays = {}
+        self._build()
+        self.kernel = self._kernel()
+        self._set_sides()
+        self._load_porosity()
+        size = self.operator.V.ndof
+        self.extra, self.D, self.du = np.zeros(size), np.zeros(size), np.zeros(size)
+        self.Q = self.operator.vector("momentum")
+
+    # --- the state ----------------------------------------------------------------------------
+
+    def numbers(self) -> dict[str, Any]:
+        """What goes into a checkpoint beside `arrays`."""
+        mesh = {key: value for key, value in vars(self.mesh).items() if isinstance(value, int)}
+        return {"mesh": mesh} | {name: getattr(self, name) for name in NUMBERS}
+
+    def arrays(self) -> Arrays:
+        """The state as arrays by name."""
+        found = {name: getattr(self, name) for name in STATE} | {"x": self.operator.x}
+        found |= {"built": self._built}
+        for key, value in vars(self.mesh).items():
+            if isinstance(value, np.ndarray):
+                found[f"mesh/{key}"] = value
+        return found | {f"factor/{key}": value for key, value in self._recipe.items()}
+
+    @classmethod
+    def resumed(
+        cls,
+        box: Box,
+        fluid: Fluid,
+        gravity: tuple[float, float],
+        discs: Discs,
+        numbers: dict[str, Any],
+        arrays: Arrays,
+    ) -> Coupling:
+        """The state that `numbers` and `arrays` were of."""
+        self = cls.__new__(cls)
+        self.box, self.fluid, self.discs, self.gravity = box, fluid, discs, np.array(gravity)
+        parts: dict[str, Any] = {k[5:]: v for k, v in arrays.items() if k.startswith("mesh/")}
+        self.mesh = Bounded(box=box, **parts, **numbers["mesh"])
+        for name in NUMBERS:
+            setattr(self, name, numbers[name])
+        for name in STATE:
+            setattr(self, name, arrays[name])
+        self.seconds = dict.fromkeys(PARTS, 0.0)
+        self._factor, self._recipe = None, {}
+        recipe = {k[7:]: v for k, v in arrays.items() if k.startswith("factor/")}
+        if recipe:
+            now, self.mesh = self.mesh, replace(self.mesh, **{k: recipe[k] for k in TOPOLOGY})
+            self._build()
+            self.operator.mesh.ngmesh.Coordinates()[:, :2] = recipe["places"]
+            self.operator.load(**{name: recipe[name] for name in ("eps", "inertia", "E", "S")})
+            self.operator.assemble()
+            self._make_factor(float(recipe["unit"]))
+            self.factors -= 1
+            self.mesh = now
+        latest, self.mesh.points = self.mesh.points, arrays["built"].copy()
+        self._build()
+        self.mesh.points = latest
+        self._old = latest.copy()
+        self.operator.mesh.ngmesh.Coordinates()[:, :2] = self._places(latest)
+        self.kernel = self._kernel()
+        self._load_porosity()
+        self.operator.x = arrays["x"]
+        return self
+
+    def back(self, arrays: Arrays, numbers: dict[str, Any]) -> None:
+        """Take back a step that failed, to the state that these were of."""
+        for name in ("time", "dt"):
+            setattr(self, name, numbers[name])
+        for name in STATE:
+            setattr(self, name, arrays[name])
+        self.operator.x = arrays["x"]
+        self.mesh.points[:] = self._old
+        self.operator.mesh.ngmesh.Coordinates()[:, :2] = self._places(self._old)
+        self.kernel = self._kernel()
+        self._load_porosity()
+
+    # --- a step -------------------------------------------------------------------------------
+
+    def steps(self, dt: float, most: int) -> int:
+        """How many steps `dt` of contacts the next step of the flow takes, at most `most`."""
+        points, corner = self.mesh.points, self.mesh.triangles
+        longest = self.fluid.dt or np.inf
+        speed = np.zeros((len(points), 2))
+        speed[: len(self.velocity)] = self.velocity
+        d = float(self.discs.diameter.min())
+        fall = float(np.hypot(*self.gravity))
+        if self.fluid.dt is None and fall > 0.0:
+            longest = 0.1 * np.sqrt(d / fall)
+        relative = np.hypot(*(speed[corner] - np.roll(speed[corner], 1, axis=1)).T).max(initial=0.0)
+        if relative > 0.0:
+            longest = min(longest, WAY * d / relative)
+        flow = self._points_of(self.operator.u)[corner].mean(axis=1) - speed[corner].mean(axis=1)
+        edge = self._corners()
+        edge = np.roll(edge, -1, axis=1) - edge
+        area = 0.5 * np.abs(edge[:, 0, 0] * edge[:, 1, 1] - edge[:, 0, 1] * edge[:, 1, 0])
+        height = 2.0 * area / np.hypot(*edge.T).max(axis=0)
+        rate = float((np.hypot(*flow.T) / height).max()) * self.fluid.order**2
+        if rate > 0.0:
+            longest = min(longest, COURANT / rate)
+        if self.dt > 0.0:
+            longest = min(longest, 2.0 * self.dt)  # BDF2 is stable for ratios to 2.4
+        count = max(1, int(longest / dt + 1e-9))
+        # Powers of two, and one between: the matrix, and its factor, then change less often.
+        power = 2 ** (count.bit_length() - 1)
+        return min(most, power + power // 2 if count >= power + power // 2 else power)
+
+    def push(self, dt: float) -> tuple[Float, Float]:
+        """Force (n, 2) [N/m] and drag (n, 3) on the discs in the next `dt` [s], Eq. (5).
+
+        The columns of the latter are as of `motion.advance`.
+        """
+        V, free, r = self.discs.volume, self.discs.inverse, 0.5 * self.discs.diameter
+        own = self.fluid.density * np.maximum(self.kernel.area - V, 0.0)  # m_f
+        resist = self.drag * own / np.maximum(own + self.drag * dt, 1e-300)
+        force = self.force + resist[:, None] * self.velocity
+        force = force - self.fluid.density * V[:, None] * self.gravity
+        drag = np.zeros((len(V), 3))
+        drag[:, 0] = resist * free
+        if self.fluid.torque:
+            twist = self.fluid.viscosity * np.pi * self.discs.diameter**2
+            drag[:, 1] = twist * free * 2.0 / r**2  # I = m r²/2
+            drag[:, 2] = twist * 0.5 * self.curl / r
+        return force, drag
+
+    def move(self, way: Float) -> bool:
+        """Move the discs by (n, 2) [m], unless that would turn a triangle over; whether it did."""
+        if self.mesh.move(self._old[: len(way)] + way):
+            return True
+        self.mesh.points[:] = self._old
+        return False
+
+    def solve(self, dt: float, impulse: Float, outside: Float) -> None:
+        """Flow and velocities after a step that has moved the discs.
+
+        Parameters
+        ----------
+        dt : float
+            [s]
+        impulse : (n, 2)
+            J of the contacts [N s/m].
+        outside : (n, 2)
+            Forces from elsewhere [N/m].
+
+        Raises
+        ------
+        RunError
+            If discs are too dense for the mesh, or the linear solver does not converge.
+        """
+        op, fluid, discs, g = self.operator, self.fluid, self.discs, self.grid
+        clock = _Clock(self.seconds)
+        omega = dt / self.dt if fluid.scheme == "bdf2" and self.dt > 0.0 else 0.0
+        c, c1 = (1.0 + 2.0 * omega) / (1.0 + omega), omega**2 / (1.0 + omega)
+        old, before = self._places(self._old), self.kernel
+        new = self._places(self.mesh.points)
+        self.kernel = k = self._kernel()
+        clock("kernel")
+        # Convection half-way, Eq. (4) of navier.
+        coordinates = op.mesh.ngmesh.Coordinates()
+        coordinates[:, :2] = 0.5 * (old + new)
+        porosity = 0.5 * (before.porosity + k.porosity)
+        op.load(eps=porosity[g.vertex], w=(new - old) / dt)
+        op.foretold.vec.FV().NumPy()[:] = op.u.vec.FV().NumPy() + 0.5 * omega * self.du
+        C = op.vector("convection")
+        coordinates[:, :2] = new
+        # The discs, Eqs. (1), (3), (4).
+        self.time += dt
+        V, free, b = discs.volume, discs.inverse, self._drag()
+        added = fluid.added_mass * fluid.density * V * c / dt
+        known = -added[:, None] * (self.around - self.velocity)
+        b = b + added
+        alpha = 1.0 / (c + b * dt * free)
+        weight = np.where(discs.free, discs.mass - fluid.density * V, 0.0)[:, None] * self.gravity
+        push = np.array(fluid.push)
+        if self.box.periodic:  # held up by a mean pressure gradient
+            push = push - weight.sum(axis=0) / self.box.area
+        own = weight + outside + known + V[:, None] * push
+        jump = self.velocity + impulse * free[:, None]
+        ahead = c * jump + c1 * self.last + dt * free[:, None] * own  # u*
+        ahead[~discs.free] = 0.0
+        share = alpha * dt * free
+        eps = k.porosity
+        op.load(
+            eps=eps[g.vertex],
+            inertia=(c * fluid.density * eps / dt + k.field(b * c * alpha))[g.vertex],
+            E=(eps + k.field(b * share * V))[g.vertex],
+            S=k.field(V**2 * share)[g.vertex],
+            f=(k.field((b * alpha)[:, None] * ahead - known) + eps[:, None] * push)[g.vertex],
+            g=k.field((V * alpha)[:, None] * ahead)[g.vertex],
+        )
+        self._set_sides()
+        clock("rest")
+        op.assemble()
+        f = (c * (self.Q + dt * C) + c1 * self.D) / dt + op.vector("source")
+        f = np.concatenate([f, op.vector("flux") + op.vector("inflow")])
+        clock("matrix")
+        was = op.u.vec.FV().NumPy().copy()
+        residual = self._linear(f, c / dt * fluid.density)
+        clock("solve")
+        self.du = op.u.vec.FV().NumPy() - was
+        self.extra = residual[: op.V.ndof] * dt / c
+        Q = op.vector("momentum") + self.extra
+        self.D = Q - self.Q - dt * C
+        self.Q = Q
+        # Eq. (3) and the force of the fluid.
+        self.around = k.mean(self._moments("around"))
+        slope = k.mean(self._moments("slope"))
+        self.curl = k.mean(self._moments("curl"))
+        pull = b[:, None] * self.around - V[:, None] * slope
+        found = alpha[:, None] * (ahead + dt * free[:, None] * pull)
+        found[~discs.free] = 0.0
+        self.force = pull - b[:, None] * found + known + V[:, None] * push
+        self.last = found - jump
+        self.last[~discs.free] = 0.0
+        self.velocity, self.drag, self.dt = found, b, dt
+        clock("rest")
+        if self.mesh.mend():
+            self._remesh()
+        self._old = self.mesh.points.copy()
+        clock("mesh")
+
+    def _drag(self) -> Float:
+        """b of the law, for the undisturbed velocity if it is made for that."""
+        fluid, discs = self.fluid, self.discs
+        across = self.box.size[0 if abs(self.gravity[1]) >= abs(self.gravity[0]) else 1]
+        bed = Bed(
+            mu=fluid.viscosity,
+            rho=fluid.density,
+            diameter=discs.diameter,
+            porosity=np.maximum(1.0 - discs.volume / self.kernel.area, LEAST_POROSITY),
+            area=self.kernel.area,
+            slip=np.hypot(*(self.around - self.velocity).T),
+            gap=self._gap() if fluid.drag.variable == "gap" else np.nan,
+            width=np.inf if self.box.periodic else float(across),
+        )
+        return fluid.drag.coefficient(bed)
+
+    def _gap(self) -> float:
+        """Mean of the smallest gap of each triangle of discs, over the mean diameter."""
+        n, r = len(self.velocity), 0.5 * self.discs.diameter
+        full = (self.mesh.triangles < n).all(axis=1)
+        if not full.any():
+            return np.nan
+        corner, place = self.mesh.triangles[full], self._corners()[full]
+        length = np.hypot(*(np.roll(place, -1, axis=1) - place).T).T
+        gap = length - r[corner] - r[np.roll(corner, -1, axis=1)]
+        return float(gap.min(axis=1).mean() / self.discs.diameter.mean())
+
+    # --- linear solver ------------------------------------------------------------------------
+
+    def _linear(self, f: Float, inertia: float) -> Float:
+        """Solve for the unknowns of the operator; returns what is left of f, 0 where not free."""
+        op = self.operator
+        split, rows = op.V.ndof, np.flatnonzero(op.free)
+        h = np.sqrt(self.box.area / len(self.mesh.triangles))
+        unit = h * (inertia + self.fluid.viscosity / h**2 + float(self.drag.sum()) / self.box.area)
+        scale = np.where(rows < split, 1.0, unit)
+        x0, x = op.x, np.zeros(len(op.free))
+        names = self._names()
+
+        def apply(z: Float) -> Float:
+            x[rows] = scale * z
+            found: Float = scale * op.apply(x)[rows]
+            return found
+
+        r = scale * (f - op.apply(x0))[rows]
+        size = max(float(np.linalg.norm(scale * f[rows])), float(np.linalg.norm(r)))
+        # Round-off of what has cancelled is no reason to go on.
+        goal = max(self.fluid.tolerance * size, 1e-300)
+        for attempt in range(2):
+            fresh = self._factor is None or attempt == 1
+            if fresh:
+                self._make_factor(unit)
+            delta, self.iterations, left = gmres(
+                apply, self._preconditioner(names[rows], scale, apply), r, goal, MOST
+            )
+            if left <= goal:
+                break
+        else:
+            raise RunError(
+                f"the linear solver does not converge at t = {self.time:g} s: residual "
+                f"{left / size:.1e} after {MOST} iterations, with a step of the flow that is "
+                "perhaps too long (Fluid(dt=...))"
+            )
+        if self.iterations > FEW and not fresh:
+            self._factor, self._recipe = None, {}
+        x0[rows] += scale * delta
+        op.x = x0
+        residual = f - op.apply(x0)
+        residual[~op.free] = 0.0
+        return residual
+
+    def _make_factor(self, unit: float) -> None:
+        """A factor of the matrices at hand, and all that is needed to make it again."""
+        op, mesh = self.operator, self.mesh
+        self._factor = Lagged(op.a.mat, op.b.mat, op.s.mat, op.free, self._names(), unit)
+        self._factor_faces = self.keys.faces
+        self.factors += 1
+        fields = {name: getattr(op, name) for name in ("eps", "inertia", "E", "S")}
+        self._recipe = {key: np.array(getattr(mesh, key)) for key in TOPOLOGY}
+        self._recipe |= {key: np.array(f.vec.FV().NumPy()) for key, f in fields.items()}
+        self._recipe["points"] = self._built.copy()
+        self._recipe["places"] = np.array(op.mesh.ngmesh.Coordinates())[:, :2]
+        self._recipe["unit"] = np.array(unit)
+
+    def _preconditioner(
+        self, names: NDArray[np.int64], scale: Float, apply: Callable[[Float], Float]
+    ) -> Callable[[Float], Float]:
+        """The factor at hand, then a solve on the triangles that have come since it was made."""
+        factor, op = self._factor, self.operator
+        assert factor is not None
+        known, place = factor.where(names)
+        unit = np.where(names[known] % 3 == 2, factor.unit / scale[known], 1.0)
+        old = np.zeros(factor.size)
+
+        def first(r: Float) -> Float:
+            z = np.zeros_like(r)
+            old[:] = 0.0
+            old[place[known]] = unit * r[known]
+            z[known] = unit * factor(old)[place[known]]
+            return z
+
+        fresh = np.flatnonzero(~np.isin(self.keys.faces_of_triangles, self._factor_faces))
+        if len(fresh) == 0:
+            return first
+        inside = np.zeros(len(op.free), dtype=bool)
+        for keys, begin, parts in ((self.keys, 0, 2), (self.pressure_keys, op.V.ndof, 1)):
+            there = np.zeros(keys.size, dtype=bool)
+            there[keys.local(fresh)] = True
+            inside[begin : begin + parts * len(keys.of_mesh)] = np.tile(there[keys.of_mesh], parts)
+        inside &= op.free
+        patch = Lagged(op.a.mat, op.b.mat, op.s.mat, inside, self._names(), scale[-1])
+        rows = inside[op.free]
+
+        def both(r: Float) -> Float:
+            z = first(r)
+            z[rows] += patch((r - apply(z))[rows])
+            return z
+
+        return both
+
+    def _names(self) -> NDArray[np.int64]:
+        """Names of the unknowns of u_x, u_y and p."""
+        own, p = self.keys, self.pressure_keys
+        of_u = 3 * own.names[own.of_mesh]
+        return np.concatenate([of_u, of_u + 1, 3 * p.names[p.of_mesh] + 2])
+
+    # --- the mesh -----------------------------------------------------------------------------
+
+    def _build(self) -> None:
+        """Finite elements on the present triangulation."""
+        mesh, fluid = self.mesh, self.fluid
+        arrays = mesh.points, mesh.triangles, mesh.shifts
+        self.grid = flow_mesh(self.box, *arrays, mesh.neighbours)
+        self._built, self._old = mesh.points.copy(), mesh.points.copy()
+        self.operator = Operator(
+            self.grid.mesh,
+            fluid.order,
+            fluid.viscosity,
+            fluid.density,
+            *((), (), ()) if self.box.periodic
+            else (fluid.names(Outlet), fluid.names(Slip), fluid.names(NoSlip, Inflow)),
+        )  # fmt: skip
+        about = self.box, self._old, mesh.triangles.copy(), mesh.shifts.copy(), self.grid
+        self.keys = Keys(*about, fluid.order, fluid.order == 1)
+        self.pressure_keys = Keys(*about, max(fluid.order - 1, 1))
+        if len(self.operator.u.vec) != 2 * len(self.keys.of_mesh):
+            raise InputError(
+                "the periodic box holds too few particles for a mesh: repeat it, so that no "
+                "particle is joined to another twice"
+            )
+
+    def _remesh(self) -> None:
+        """Carry all fields to the triangulation that `mesh` has become."""
+        old_op, old_keys, old_p = self.operator, self.keys, self.pressure_keys
+        loads = [_gathered(old_op, old_keys, values) for values in (self.extra, self.D)]
+        fields = [_gathered(old_op, old_keys, v) for v in (old_op.u.vec.FV().NumPy(), self.du)]
+        p = np.zeros((old_p.size, 1))
+        use = old_op.free[old_op.V.ndof :] | (not self.box.periodic)
+        p[old_p.of_mesh[use], 0] = old_op.p.vec.FV().NumPy()[use]
+        old_porosity, old_total = self.kernel.porosity, _per_triangle(old_op)
+        old_total += _extra_per_triangle(old_keys, loads[0])
+        self._build()
+        op, keys = self.operator, self.keys
+        u, du = (_spread_out(keys, carry(old_keys, keys, values)) for values in fields)
+        op.u.vec.FV().NumPy()[:], self.du = u, du
+        op.p.vec.FV().NumPy()[:] = carry(old_p, self.pressure_keys, p)[
+            self.pressure_keys.of_mesh, 0
+        ]
+        loads = [carry_load(old_keys, keys, values) for values in loads]
+        self.kernel = self._kernel()
+        self._load_porosity()
+        self._set_sides()
+        total = _per_triangle(op) + _extra_per_triangle(keys, loads[0])
+        moved = np.abs(self.kernel.porosity - old_porosity) > 1e-13
+        weight = self.kernel.porosity * self.kernel.hats
+        loads[0][: len(weight)] += _made_up(old_keys, keys, old_total, total, moved, weight)
+        self.extra, self.D = (_load_of(op, keys, values) for values in loads)
+        self.Q = op.vector("momentum") + self.extra
+
+    def _kernel(self) -> Kernel:
+        """Eq. (2) for the present places of discs and vertices."""
+        mesh, r = self.mesh, 0.5 * self.discs.diameter
+        n, m = len(r), len(mesh.points)
+        reach = self.fluid.reach * float(self.discs.diameter.mean())
+        arrays = mesh.points, mesh.triangles, mesh.neighbours, mesh.shifts
+        found = spread(self.box, mesh.points[:n], r, reach, *arrays)
+        place = self._corners()
+        a, b = place[:, 1] - place[:, 0], place[:, 2] - place[:, 0]
+        area = 0.5 * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+        hats = np.bincount(mesh.triangles.ravel(), np.repeat(area / 3.0, 3), m)
+        hats[hats == 0.0] = 1.0
+        porosity = 1.0 - (found.share.T @ self.discs.volume) / hats
+        low = int(np.argmin(porosity))
+        if porosity[low] < LEAST_POROSITY:
+            at = mesh.points[low]
+            raise RunError(
+                f"the particles about ({at[0]:.4g}, {at[1]:.4g}) m leave a porosity of "
+                f"{porosity[low]:.3g} at t = {self.time:g} s, at least {LEAST_POROSITY} is needed: "
+                "raise the stiffness of their contacts, or correct their diameters"
+            )
+        return Kernel(found.share, hats, found.area, porosity)
+
+    def _corners(self) -> Float:
+        mesh = self.mesh
+        found: Float = mesh.points[mesh.triangles] + mesh.shifts * mesh.period
+        return found
+
+    def _places(self, points: Float) -> Float:
+        """Coordinates of the vertices of the finite-element mesh [m], (v, 2)."""
+        found: Float = points[self.grid.vertex] + self.grid.shift * self.box.size
+        return found
+
+    def _load_porosity(self) -> None:
+        self.operator.load(eps=self.kernel.porosity[self.grid.vertex])
+
+    def _moments(self, form: str) -> Float:
+        """Moments at the points, (m, 2) or (m,)."""
+        found, vertex, m = self.operator.moments(form), self.grid.vertex, len(self.mesh.points)
+        if found.ndim == 1:
+            return np.bincount(vertex, found, m)
+        return np.stack([np.bincount(vertex, part, m) for part in found.T], axis=1)
+
+    def _points_of(self, field: Any) -> Float:
+        """Values of a velocity at the points (m, 2); 0 at those that are no vertex."""
+        v = len(self.grid.vertex)
+        found = np.zeros((len(self.mesh.points), 2))
+        values = field.vec.FV().NumPy().reshape(2, -1)[:, :v].T
+        first = np.unique(self.grid.vertex, return_index=True)[1]  # slaves hold no values
+        found[self.grid.vertex[first]] = values[first]
+        return found
+
+    def _set_sides(self) -> None:
+        """Velocity and pressure that are given at the sides, at the present time."""
+        if self.box.periodic:
+            return
+        op, keys, fluid = self.operator, self.keys, self.fluid
+        given = np.zeros((keys.size, 2))
+        t, k = np.nonzero(self.mesh.neighbours < 0)
+        corner = self.mesh.triangles
+        ends = np.stack([corner[t, (k + 1) % 3], corner[t, (k + 2) % 3]], axis=1).astype(np.int64)
+        ends.sort(axis=1)
+        along = np.linspace(0.0, 1.0, fluid.order + 1)[:, None]
+        a, b = self.mesh.points[ends[:, 0], None], self.mesh.points[ends[:, 1], None]
+        place = (1.0 - along) * a + along * b  # (e, k + 1, 2)
+        eps = self.kernel.porosity[ends]
+        eps = (1.0 - along[:, 0]) * eps[:, :1] + along[:, 0] * eps[:, 1:]
+        p = np.zeros(len(self.mesh.points))
+        kinds = sorted(
+            enumerate(map(fluid.side, SIDES)), key=lambda item: isinstance(item[1], NoSlip)
+        )  # at corners walls have the last word
+        for side, kind in kinds:
+            axis, end = divmod(side, 2)
+            on = (place[:, [0, -1], axis] == end * self.box.size[axis]).all(axis=1)
+            if isinstance(kind, Outlet):
+                p[ends[on]] = kind.pressure
+                continue
+            if isinstance(kind, Slip):
+                continue
+            value = np.zeros((on.sum(), fluid.order + 1, 2))
+            if isinstance(kind, NoSlip):
+                value[..., 1 - axis] = kind.speed
+            elif callable(kind.velocity):
+                found = np.asarray(kind.velocity(place[on].reshape(-1, 2), self.time), dtype=float)
+                value[:] = found.reshape(value.shape) / eps[on][..., None]
+            else:
+                value[:] = np.array(kind.velocity) / eps[on][..., None]
+            if not np.isfinite(value).all():
+                raise InputError(f"fluid: the velocity of the {SIDES[side]} side is not finite")
+            edge = np.searchsorted(keys.edges, keys._edge(ends[on]))
+            none = np.empty((len(edge), 0), np.int64)
+            given[keys.unknowns(ends[on], edge[:, None], none)] = along_edge(fluid.order, value)
+        held = ~op.free
+        split = op.V.ndof
+        u, pressure = op.u.vec.FV().NumPy(), op.p.vec.FV().NumPy()
+        u[held[:split]] = given[keys.of_mesh].T.ravel()[held[:split]]
+        level = np.zeros(self.pressure_keys.size)
+        level[: len(p)] = p
+        pressure[held[split:]] = level[self.pressure_keys.of_mesh][held[split:]]
+        if fluid.names(Inflow):
+            flux = op.vector("inflow")[: len(self.grid.vertex)]
+            net, gross = float(flux.sum()), float(np.abs(flux).sum())
+            if not fluid.names(Outlet) and abs(net) > 1e-6 * gross:
+                raise InputError(
+                    f"fluid: {abs(net):.4g} m2/s flow {'into' if net < 0.0 else 'out of'} the box "
+                    "and nothing the other way: give one side an Outlet(), or inflows that add up "
+                    "to zero"
+                )
+
+
+class _Clock:
+    """Adds the time since the last call to an entry."""
+
+    def __init__(self, seconds: dict[str, float]) -> None:
+        self.seconds, self.last = seconds, perf_counter()
+
+    def __call__(self, name: str) -> None:
+        now = perf_counter()
+        self.seconds[name] += now - self.last
+        self.last = now
+
+
+def _gathered(op: Operator, keys: Keys, values: Float) -> Float:
+    """Unknowns of a velocity by key, (size, 2)."""
+    found = np.zeros((keys.size, 2))
+    parts = values.reshape(2, -1)
+    use = np.ones(parts.shape[1], bool)
+    if keys.box.periodic:  # images hold no values
+        use = op.free[: op.V.ndof].reshape(2, -1)[0]
+    found[keys.of_mesh[use]] = parts.T[use]
+    return found
+
+
+def _spread_out(keys: Keys, values: Float) -> Float:
+    """Unknowns of a velocity on the finite-element mesh, images too."""
+    return values[keys.of_mesh].T.ravel()
+
+
+def _load_of(op: Operator, keys: Keys, values: Float) -> Float:
+    """A load vector on the finite-element mesh, images empty."""
+    found = _spread_out(keys, values)
+    if keys.box.periodic:
+        found[~op.free[: op.V.ndof]] = 0.0
+    return found
+
+
+def _per_triangle(op: Operator) -> Float:
+    """Momentum of the fluid in each triangle [kg/s], (t, 2)."""
+    density = op.density * op.eps
+    parts = (
+        Integrate(density * op.u[axis], op.mesh, order=op.order + 2, element_wise=True)
+        for axis in range(2)
+    )
+    return np.stack([part.NumPy() for part in parts], axis=1)
+
+
+def _extra_per_triangle(keys: Keys, load: Float) -> Float:
+    """A load vector's momentum at vertices, shared by the triangles around them, (t, 2)."""
+    m = len(keys.points)
+    count = np.bincount(keys.triangles.ravel(), minlength=m)
+    shared = load[:m] / np.maximum(count, 1)[:, None]
+    found: Float = shared[keys.triangles].sum(axis=1)
+    return found
+
+
+def _made_up(
+    old: Keys, new: Keys, before: Float, after: Float, moved: NDArray[np.bool_], weight: Float
+) -> Float:
+    """Momentum to add at the points (m, 2), so that each region that changed keeps its own.
+
+    A region is a set of triangles, old or new, that hang together by points whose porosity or
+    triangles have changed; before and after (t, 2) are the momenta of old and new triangles.
+    """
+    m = len(new.points)
+    touched = moved.copy()
+    for one, other in ((old, new), (new, old)):
+        lost = ~np.isin(one.faces_of_triangles, other.faces)
+        touched[one.triangles[lost]] = True
+    i, j = [], []
+    for keys in (old, new):
+        for a, b in ((0, 1), (1, 2), (2, 0)):
+            both = touched[keys.triangles[:, a]] & touched[keys.triangles[:, b]]
+            i.append(keys.triangles[both, a])
+            j.append(keys.triangles[both, b])
+    rows, columns = np.concatenate(i), np.concatenate(j)
+    graph = coo_array((np.ones(len(rows), np.int8), (rows, columns)), shape=(m, m))
+    region = connected_components(graph, directed=False)[1]
+    missing = np.zeros((region.max() + 1, 2))
+    for keys, sign, momentum in ((old, 1.0, before), (new, -1.0, after)):
+        inside = touched[keys.triangles]
+        t = np.flatnonzero(inside.any(axis=1))
+        where = region[keys.triangles[t, np.argmax(inside[t], axis=1)]]
+        np.add.at(missing, where, sign * momentum[t])
+    heavy = np.zeros(m)
+    used = np.zeros(m, dtype=bool)
+    used[new.triangles] = True
+    heavy[touched & used] = weight[touched & used]
+    total = np.bincount(region, heavy, len(missing))
+    share = np.divide(heavy, total[region], out=np.zeros(m), where=total[region] > 0.0)
+    return share[:, None] * missing[region]
+
+
+__all__ = ["Coupling", "Discs", "Kernel"]

@@ -1,0 +1,186 @@
+r"""Porosity-scaled Navier-Stokes equations on a mesh that moves: one implicit step.
+
+With porosity ε, interstitial velocity u, dynamic pressure p and velocity w of the mesh, velocity
+test functions v and pressure test functions q,
+
+    d/dt ∫ρ ε u·v + a(u, v) + ∫E ∇p·v = ∫ρ ε u·((u - w)·∇)v + ∫f·v                             (1)
+    ∫E u·∇q - ∫S ∇p·∇q = -∫g·∇q + ∮q ε u·n                                                     (2)
+    a(u, v) = ∫B u·v + ∫2 mu ε D(u):D(v) - 2/3 mu ε ∇·u ∇·v                                    (3)
+
+where v moves with the mesh, so that (1) conserves momentum; B, E, S, f and g come from the
+particles (`grainmesh.coupling`); without any, B = S = 0 and E = ε. A step Δt is
+
+    c (Q' - Q - Δt C) = (c - 1) D + Δt R',    D' = Q' - Q - Δt C,                              (4)
+
+with Q = ∫ρ ε u·v, C the convection of (1) at the velocity foretold for the middle of the step and
+on the mesh half-way (which keeps a uniform flow uniform), and R' all else, taken at its end.
+c = 1 is implicit Euler; c = (1 + 2 ω)/(1 + ω), with (c - 1) D times ω for ω = Δt/Δt_old, is BDF2.
+
+Equation (4) leaves a residual r' of the linear solver. Q' = ∫ρ ε' u'·v + Δt r'/c counts it in the
+next step, so momentum is conserved to round-off at any tolerance.
+
+The elements are Taylor-Hood P_k/P_{k-1}, MINI for k = 1. The matrix of (1) and (2) is symmetric,
+an L D Lᵀ of it serves as preconditioner until too much has changed.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from ngsolve import (
+    H1,
+    BilinearForm,
+    Grad,
+    GridFunction,
+    IfPos,
+    InnerProduct,
+    LinearForm,
+    Sym,
+    VectorH1,
+    div,
+    ds,
+    dx,
+    grad,
+    specialcf,
+)
+from numpy.typing import NDArray
+
+from grainmesh.mesh import spaces
+from grainmesh.saddle import threads
+
+Float = NDArray[np.float64]
+
+
+class Operator:
+    """Equations (1) to (3) on one mesh; its vertices may move.
+
+    Parameters
+    ----------
+    mesh : ngsolve.Mesh
+    order : int
+        k >= 1.
+    pressure, slip, no_slip : tuple of str
+        Boundaries where the pressure is given and the flow at right angles; where flow is
+        tangential without friction; where the velocity is given.
+
+    Attributes
+    ----------
+    u, p : ngsolve.GridFunction
+        Velocity [m/s] and pressure [Pa].
+    eps : ngsolve.GridFunction
+        Porosity, linear.
+    free : ndarray, shape (N,)
+        Unknowns of velocity, then of pressure, that are solved for.
+    """
+
+    def __init__(
+        self,
+        mesh: Any,
+        order: int,
+        viscosity: float,
+        density: float,
+        pressure: tuple[str, ...] = (),
+        slip: tuple[str, ...] = (),
+        no_slip: tuple[str, ...] = (),
+    ) -> None:
+        self.mesh, self.order, self.viscosity, self.density = mesh, order, viscosity, density
+        self.V, self.Q = spaces(mesh, order, pressure, slip, no_slip)
+        self.P1, self.W = H1(mesh, order=1), VectorH1(mesh, order=1)
+        self.u, self.p = GridFunction(self.V), GridFunction(self.Q)
+        self.foretold, self.w = GridFunction(self.V), GridFunction(self.W)
+        self.eps, self.inertia, self.E, self.S = (GridFunction(self.P1) for _ in range(4))
+        self.f, self.g = GridFunction(self.W), GridFunction(self.W)
+        self.free = np.concatenate([np.asarray(X.FreeDofs()) for X in (self.V, self.Q)])
+        self._forms(pressure, no_slip)
+
+    def _forms(self, pressure: tuple[str, ...], no_slip: tuple[str, ...]) -> None:
+        u, v = self.V.TnT()
+        p, q = self.Q.TnT()
+        z = self.W.TestFunction()
+        mu, rho, eps, once = self.viscosity, self.density, self.eps, dx(bonus_intorder=1)
+        # Eq. (3), with c ρ ε/Δt + B in `inertia`.
+        self.a = BilinearForm(
+            (
+                self.inertia * InnerProduct(u, v)
+                + 2.0 * mu * eps * InnerProduct(Sym(Grad(u)), Sym(Grad(v)))
+                - 2.0 / 3.0 * mu * eps * div(u) * div(v)
+            )
+            * once
+        )
+        self.b = BilinearForm(trialspace=self.V, testspace=self.Q)
+        self.b += self.E * InnerProduct(u, grad(q)) * once
+        self.s = BilinearForm(self.S * InnerProduct(grad(p), grad(q)) * once)
+        self._momentum = LinearForm(rho * eps * InnerProduct(self.u, v) * once)
+        e, w = self.foretold, self.w
+        self._convection = LinearForm(
+            rho * eps * InnerProduct(e, Grad(v) * (e - w)) * dx(bonus_intorder=self.order)
+        )
+        if pressure:  # what flows out takes its momentum with it; what flows in had none
+            out = e * specialcf.normal(2)
+            self._convection += (
+                -rho * eps * IfPos(out, out, 0.0) * InnerProduct(e, v)
+                * ds("|".join(pressure), bonus_intorder=self.order)
+            )  # fmt: skip
+        self._source = LinearForm(InnerProduct(self.f, v) * once)
+        self._flux = LinearForm(-InnerProduct(self.g, grad(q)) * once)
+        self._inflow = LinearForm(self.Q)
+        if no_slip:
+            flux = eps * (self.u * specialcf.normal(2)) * q
+            self._inflow += flux * ds("|".join(no_slip), bonus_intorder=1)
+        self._around = LinearForm(InnerProduct(self.u, z) * dx)
+        self._slope = LinearForm(InnerProduct(grad(self.p), z) * dx)
+        self._curl = LinearForm(
+            (Grad(self.u)[1, 0] - Grad(self.u)[0, 1]) * self.P1.TestFunction() * dx
+        )
+
+    def vector(self, form: str) -> Float:
+        """A load vector: momentum, convection, source, flux or inflow, Eqs. (1), (2)."""
+        with threads(self.mesh):
+            return np.array(getattr(self, "_" + form).Assemble().vec.FV().NumPy())
+
+    def moments(self, form: str) -> Float:
+        """Integrals of velocity (``around``), ∇p (``slope``) or ∇×u (``curl``) times the hats.
+
+        (v, 2), or (v,) for the curl, at the vertices of the mesh.
+        """
+        found = self.vector(form)
+        return found if form == "curl" else found.reshape(2, -1).T
+
+    def load(self, **fields: Float) -> None:
+        """Set linear fields to values (v,) or (v, 2) at the vertices."""
+        for name, values in fields.items():
+            getattr(self, name).vec.FV().NumPy()[:] = values.T.ravel()
+
+    def assemble(self) -> None:
+        """The matrices for the present fields and places of the vertices."""
+        with threads(self.mesh):
+            for form in (self.a, self.b, self.s):
+                form.Assemble()
+            self._bt = self.b.mat.CreateTranspose()
+
+    def apply(self, x: Float) -> Float:
+        """Left sides of (1) and (2) for unknowns (N,)."""
+        split = self.V.ndof
+        u, p = self.u.vec.CreateVector(), self.p.vec.CreateVector()
+        u.FV().NumPy()[:], p.FV().NumPy()[:] = x[:split], x[split:]
+        first, second = u.CreateVector(), p.CreateVector()
+        with threads(self.mesh):
+            first.data = self.a.mat * u
+            first.data += self._bt * p
+            second.data = self.b.mat * u
+            second.data -= self.s.mat * p
+        return np.concatenate([first.FV().NumPy(), second.FV().NumPy()])
+
+    @property
+    def x(self) -> Float:
+        """Unknowns of velocity, then of pressure (N,)."""
+        return np.concatenate([self.u.vec.FV().NumPy(), self.p.vec.FV().NumPy()])
+
+    @x.setter
+    def x(self, values: Float) -> None:
+        split = self.V.ndof
+        self.u.vec.FV().NumPy()[:], self.p.vec.FV().NumPy()[:] = values[:split], values[split:]
+
+
+__all__ = ["Operator"]
