@@ -37,7 +37,6 @@ as soon as the disc stops, and a bed with b Δt > m_f would shake itself apart.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Any
@@ -49,14 +48,16 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
 from grainmesh.carry import Keys, along_edge, carry, carry_load
+from grainmesh.cells import Diagram
 from grainmesh.domain import SIDES, Box
 from grainmesh.drag import Bed
 from grainmesh.errors import InputError, RunError
-from grainmesh.lagged import Lagged, gmres
+from grainmesh.lagged import Apply, Lagged, gmres, mended
 from grainmesh.medium import Fluid, Inflow, NoSlip, Outlet, Slip
 from grainmesh.mesh import flow_mesh
 from grainmesh.navier import Operator
 from grainmesh.nodes import Bounded, bounded
+from grainmesh.saddle import threads
 from grainmesh.spread import spread
 
 Float = NDArray[np.float64]
@@ -67,7 +68,7 @@ LEAST_POROSITY = 0.02
 #: Longest way of a disc against its neighbours in a step, in diameters; Courant number.
 WAY, COURANT = 1.0 / 7.0, 0.5
 #: Iterations after which the factor is made anew, and at most.
-FEW, MOST = 12, 40
+FEW, MOST = 8, 60
 #: What a checkpoint holds besides the mesh and the unknowns.
 NUMBERS = ("time", "dt", "iterations", "factors")
 STATE = (
@@ -110,12 +111,15 @@ class Kernel:
         A_i.
     porosity : (m,)
         ε at the points, 1 for those that are no vertex.
+    cells : Diagram
+        The cells of the discs.
     """
 
     share: csr_array
     hats: Float
     area: Float
     porosity: Float
+    cells: Diagram
 
     def field(self, values: Float) -> Float:
         """Values at the vertices of sum_i values_i ψ_i, (m,) or (m, 2)."""
@@ -238,7 +242,7 @@ class Coupling:
             self.operator.mesh.ngmesh.Coordinates()[:, :2] = recipe["places"]
             self.operator.load(**{name: recipe[name] for name in ("eps", "inertia", "E", "S")})
             self.operator.assemble()
-            self._make_factor(float(recipe["unit"]))
+            self._make_factor()
             self.factors -= 1
             self.mesh = now
         latest, self.mesh.points = self.mesh.points, arrays["built"].copy()
@@ -279,19 +283,26 @@ class Coupling:
         if relative > 0.0:
             longest = min(longest, WAY * d / relative)
         flow = self._points_of(self.operator.u)[corner].mean(axis=1) - speed[corner].mean(axis=1)
-        edge = self._corners()
-        edge = np.roll(edge, -1, axis=1) - edge
-        area = 0.5 * np.abs(edge[:, 0, 0] * edge[:, 1, 1] - edge[:, 0, 1] * edge[:, 1, 0])
-        height = 2.0 * area / np.hypot(*edge.T).max(axis=0)
-        rate = float((np.hypot(*flow.T) / height).max()) * self.fluid.order**2
+        edge = np.roll(self._corners(), -1, axis=1) - self._corners()
+        twice = edge[:, 0, 0] * edge[:, 1, 1] - edge[:, 0, 1] * edge[:, 1, 0]
+        # How fast flow crosses the triangles around a vertex, |u·∇λ|, their mean by area. Where
+        # viscosity is faster, u² rho/mu takes the place of u/h: it acts implicitly.
+        across = np.abs(edge[..., 0] * flow[:, None, 1] - edge[..., 1] * flow[:, None, 0])
+        smooth = 0.5 * self.fluid.density / self.fluid.viscosity * (flow**2).sum(axis=1) * twice
+        across = np.minimum(self.fluid.order**2 * across, smooth[:, None])
+        area = np.bincount(corner.ravel(), np.repeat(twice, 3), len(points))
+        crossed = np.bincount(np.roll(corner, 1, axis=1).ravel(), across.ravel(), len(points))
+        rate = float((crossed / np.maximum(area, twice.min())).max())
         if rate > 0.0:
             longest = min(longest, COURANT / rate)
         if self.dt > 0.0:
-            longest = min(longest, 2.0 * self.dt)  # BDF2 is stable for ratios to 2.4
+            longest = min(longest, 2.0 * self.dt + dt)  # BDF2 is stable for ratios to 2.4
+        # Powers of two that grow reluctantly: the matrix, and its factor, then change less often.
         count = max(1, int(longest / dt + 1e-9))
-        # Powers of two, and one between: the matrix, and its factor, then change less often.
         power = 2 ** (count.bit_length() - 1)
-        return min(most, power + power // 2 if count >= power + power // 2 else power)
+        if power * dt > 1.5 * self.dt > 0.0 and count < 1.5 * power:
+            power = max(1, power // 2)
+        return min(most, power)
 
     def push(self, dt: float) -> tuple[Float, Float]:
         """Force (n, 2) [N/m] and drag (n, 3) on the discs in the next `dt` [s], Eq. (5).
@@ -348,7 +359,8 @@ class Coupling:
         coordinates[:, :2] = 0.5 * (old + new)
         porosity = 0.5 * (before.porosity + k.porosity)
         op.load(eps=porosity[g.vertex], w=(new - old) / dt)
-        op.foretold.vec.FV().NumPy()[:] = op.u.vec.FV().NumPy() + 0.5 * omega * self.du
+        was = op.u.vec.FV().NumPy().copy()
+        op.foretold.vec.FV().NumPy()[:] = was + 0.5 * omega * self.du
         C = op.vector("convection")
         coordinates[:, :2] = new
         # The discs, Eqs. (1), (3), (4).
@@ -376,13 +388,13 @@ class Coupling:
             f=(k.field((b * alpha)[:, None] * ahead - known) + eps[:, None] * push)[g.vertex],
             g=k.field((V * alpha)[:, None] * ahead)[g.vertex],
         )
+        op.u.vec.FV().NumPy()[:] += dt / self.dt * self.du if self.dt > 0.0 else 0.0
         self._set_sides()
         clock("rest")
         op.assemble()
         f = (c * (self.Q + dt * C) + c1 * self.D) / dt + op.vector("source")
         f = np.concatenate([f, op.vector("flux") + op.vector("inflow")])
         clock("matrix")
-        was = op.u.vec.FV().NumPy().copy()
         residual = self._linear(f, c / dt * fluid.density)
         clock("solve")
         self.du = op.u.vec.FV().NumPy() - was
@@ -438,30 +450,21 @@ class Coupling:
 
     def _linear(self, f: Float, inertia: float) -> Float:
         """Solve for the unknowns of the operator; returns what is left of f, 0 where not free."""
-        op = self.operator
-        split, rows = op.V.ndof, np.flatnonzero(op.free)
+        op, free = self.operator, self.operator.free
         h = np.sqrt(self.box.area / len(self.mesh.triangles))
+        # Pressures are counted in a unit in which both kinds of equations weigh alike.
         unit = h * (inertia + self.fluid.viscosity / h**2 + float(self.drag.sum()) / self.box.area)
-        scale = np.where(rows < split, 1.0, unit)
-        x0, x = op.x, np.zeros(len(op.free))
-        names = self._names()
-
-        def apply(z: Float) -> Float:
-            x[rows] = scale * z
-            found: Float = scale * op.apply(x)[rows]
-            return found
-
-        r = scale * (f - op.apply(x0))[rows]
-        size = max(float(np.linalg.norm(scale * f[rows])), float(np.linalg.norm(r)))
-        # Round-off of what has cancelled is no reason to go on.
+        scale = np.where(np.arange(len(free)) < op.V.ndof, 1.0, unit) * free
+        x0 = op.x
+        r = scale * (f - op.apply(x0))
+        size = max(float(np.linalg.norm(scale * f)), float(np.linalg.norm(r)))
         goal = max(self.fluid.tolerance * size, 1e-300)
         for attempt in range(2):
             fresh = self._factor is None or attempt == 1
             if fresh:
-                self._make_factor(unit)
-            delta, self.iterations, left = gmres(
-                apply, self._preconditioner(names[rows], scale, apply), r, goal, MOST
-            )
+                self._make_factor()
+            apply, precondition = _scaled(op.apply, self._preconditioner(), scale)
+            delta, self.iterations, left = gmres(apply, precondition, r, goal, MOST)
             if left <= goal:
                 break
         else:
@@ -472,16 +475,17 @@ class Coupling:
             )
         if self.iterations > FEW and not fresh:
             self._factor, self._recipe = None, {}
-        x0[rows] += scale * delta
-        op.x = x0
-        residual = f - op.apply(x0)
-        residual[~op.free] = 0.0
+        op.x = x0 + scale * delta
+        residual = f - op.apply(op.x)
+        residual[~free] = 0.0
         return residual
 
-    def _make_factor(self, unit: float) -> None:
-        """A factor of the matrices at hand, and all that is needed to make it again."""
+    def _make_factor(self) -> None:
+        """A factor of the matrix at hand, and all that is needed to make it again."""
         op, mesh = self.operator, self.mesh
-        self._factor = Lagged(op.a.mat, op.b.mat, op.s.mat, op.free, self._names(), unit)
+        with threads(op.mesh):
+            op.whole.Assemble()
+            self._factor = Lagged(op.whole.mat, op.V.ndof, op.free_bits, self._names())
         self._factor_faces = self.keys.faces
         self.factors += 1
         fields = {name: getattr(op, name) for name in ("eps", "inertia", "E", "S")}
@@ -489,43 +493,24 @@ class Coupling:
         self._recipe |= {key: np.array(f.vec.FV().NumPy()) for key, f in fields.items()}
         self._recipe["points"] = self._built.copy()
         self._recipe["places"] = np.array(op.mesh.ngmesh.Coordinates())[:, :2]
-        self._recipe["unit"] = np.array(unit)
 
-    def _preconditioner(
-        self, names: NDArray[np.int64], scale: Float, apply: Callable[[Float], Float]
-    ) -> Callable[[Float], Float]:
-        """The factor at hand, then a solve on the triangles that have come since it was made."""
-        factor, op = self._factor, self.operator
-        assert factor is not None
-        known, place = factor.where(names)
-        unit = np.where(names[known] % 3 == 2, factor.unit / scale[known], 1.0)
-        old = np.zeros(factor.size)
-
-        def first(r: Float) -> Float:
-            z = np.zeros_like(r)
-            old[:] = 0.0
-            old[place[known]] = unit * r[known]
-            z[known] = unit * factor(old)[place[known]]
-            return z
-
+    def _preconditioner(self) -> Apply:
+        """The factor at hand, mended on the triangles that have come since it was made."""
+        op = self.operator
+        assert self._factor is not None
+        first = self._factor.preconditioner(np.where(op.free, self._names(), -1))
         fresh = np.flatnonzero(~np.isin(self.keys.faces_of_triangles, self._factor_faces))
         if len(fresh) == 0:
             return first
-        inside = np.zeros(len(op.free), dtype=bool)
-        for keys, begin, parts in ((self.keys, 0, 2), (self.pressure_keys, op.V.ndof, 1)):
+        near = np.zeros(len(self.mesh.points), dtype=bool)
+        near[self.mesh.triangles[fresh]] = True
+        fresh = np.flatnonzero(near[self.mesh.triangles].any(axis=1))
+        inside = []
+        for keys, parts in ((self.keys, 2), (self.pressure_keys, 1)):
             there = np.zeros(keys.size, dtype=bool)
             there[keys.local(fresh)] = True
-            inside[begin : begin + parts * len(keys.of_mesh)] = np.tile(there[keys.of_mesh], parts)
-        inside &= op.free
-        patch = Lagged(op.a.mat, op.b.mat, op.s.mat, inside, self._names(), scale[-1])
-        rows = inside[op.free]
-
-        def both(r: Float) -> Float:
-            z = first(r)
-            z[rows] += patch((r - apply(z))[rows])
-            return z
-
-        return both
+            inside.append(np.tile(there[keys.of_mesh], parts))
+        return mended(first, op.apply, *op.blocks, np.concatenate(inside) & op.free)
 
     def _names(self) -> NDArray[np.int64]:
         """Names of the unknowns of u_x, u_y and p."""
@@ -576,7 +561,7 @@ class Coupling:
             self.pressure_keys.of_mesh, 0
         ]
         loads = [carry_load(old_keys, keys, values) for values in loads]
-        self.kernel = self._kernel()
+        self.kernel = self._kernel(self.kernel.cells)
         self._load_porosity()
         self._set_sides()
         total = _per_triangle(op) + _extra_per_triangle(keys, loads[0])
@@ -586,13 +571,13 @@ class Coupling:
         self.extra, self.D = (_load_of(op, keys, values) for values in loads)
         self.Q = op.vector("momentum") + self.extra
 
-    def _kernel(self) -> Kernel:
+    def _kernel(self, cells: Diagram | None = None) -> Kernel:
         """Eq. (2) for the present places of discs and vertices."""
         mesh, r = self.mesh, 0.5 * self.discs.diameter
         n, m = len(r), len(mesh.points)
         reach = self.fluid.reach * float(self.discs.diameter.mean())
         arrays = mesh.points, mesh.triangles, mesh.neighbours, mesh.shifts
-        found = spread(self.box, mesh.points[:n], r, reach, *arrays)
+        found = spread(self.box, mesh.points[:n], r, reach, *arrays, cells)
         place = self._corners()
         a, b = place[:, 1] - place[:, 0], place[:, 2] - place[:, 0]
         area = 0.5 * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
@@ -607,7 +592,7 @@ class Coupling:
                 f"{porosity[low]:.3g} at t = {self.time:g} s, at least {LEAST_POROSITY} is needed: "
                 "raise the stiffness of their contacts, or correct their diameters"
             )
-        return Kernel(found.share, hats, found.area, porosity)
+        return Kernel(found.share, hats, found.area, porosity, found.cells)
 
     def _corners(self) -> Float:
         mesh = self.mesh
@@ -694,6 +679,12 @@ class Coupling:
                     "and nothing the other way: give one side an Outlet(), or inflows that add up "
                     "to zero"
                 )
+
+
+def _scaled(apply: Apply, precondition: Apply, scale: Float) -> tuple[Apply, Apply]:
+    """D K D and D⁻¹ P D⁻¹, with 0 where the scale D is."""
+    back = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0.0)
+    return lambda z: scale * apply(scale * z), lambda r: back * precondition(back * r)
 
 
 class _Clock:

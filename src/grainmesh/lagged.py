@@ -1,29 +1,38 @@
-r"""An L D Lᵀ kept from step to step as preconditioner of GMRES, while the matrix changes.
+r"""A factor kept from step to step as preconditioner of GMRES, while matrix and mesh change.
 
     [ A   Bᵀ ] [u]   [f]
     [ B  -S  ] [p] = [g]
 
-Pressures are counted in a unit s in which both rows weigh alike, and get the small extra diagonal
-of `grainmesh.saddle`, so that the matrix is quasi-definite. An indefinite factor cannot
-precondition MINRES; GMRES takes it. Unknowns are known by name (`grainmesh.carry`): those that came
-after the factor was made are only divided by their diagonal.
+An indefinite factor cannot precondition MINRES; GMRES takes it. Unknowns are known by name
+(`grainmesh.carry`). On triangles that have come since the factor was made a second, small system
+is solved for what the factor leaves,
+
+    z = P r,    z += Rᵀ (R K Rᵀ)⁻¹ R (r - K z),                                               (1)
+
+with R the restriction to their unknowns. Without it each flip costs iterations of its own.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
-from ngsolve import la
+from ngsolve import TaskManager
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.sparse import block_array, csr_array, diags_array
+from scipy.sparse.linalg import splu
 
-from grainmesh.saddle import PIVOT
+from grainmesh.saddle import PIVOT, SaddleFactor
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
+Apply = Callable[[Float], Float]
+
+#: More unknowns than this are worth a second thread.
+MANY = 40_000
 
 
 def csr(matrix: Any) -> csr_array:
@@ -37,48 +46,63 @@ class Lagged:
 
     Parameters
     ----------
-    a, b, s : ngsolve.SparseMatrix
-        Blocks as above.
-    free : (N,) bool
-        Unknowns to solve for, velocities first.
+    matrix : ngsolve.SparseMatrix
+        The whole matrix.
+    first : int
+        Number of the first pressure.
+    free : ngsolve.BitArray
+        Unknowns to solve for.
     names : (N,) int
         Names of all unknowns; images of one unknown that are not free may share its name.
-    unit : float
-        s [Pa s/m].
     """
 
-    def __init__(self, a: Any, b: Any, s: Any, free: NDArray[np.bool_], names: Int, unit: float):
-        split = a.height
-        rows = np.flatnonzero(free)
-        u, p = rows[rows < split], rows[rows >= split] - split
-        A, B, S = csr(a)[u][:, u], unit * csr(b)[p][:, u], unit**2 * csr(s)[p][:, p]
-        own = (B**2) @ (1.0 / A.diagonal())
-        matrix = block_array([[A, B.T], [B, -S - diags_array(PIVOT * own)]], format="coo")
-        held = la.SparseMatrixd.CreateFromCOO(
-            matrix.row.astype(np.int32), matrix.col.astype(np.int32), matrix.data, *matrix.shape
-        )
-        self._inverse = held.Inverse(inverse="sparsecholesky")
-        self._f, self._x = held.CreateColVector(), held.CreateColVector()
-        self.unit, self.size = unit, len(rows)
-        name = names[rows]
-        self._order = np.argsort(name)
-        self._names = name[self._order]
+    def __init__(self, matrix: Any, first: int, free: Any, names: Int) -> None:
+        self._inverse = SaddleFactor(matrix, first, free).inverse
+        self._f, self._x = matrix.CreateColVector(), matrix.CreateColVector()
+        rows = np.flatnonzero(np.asarray(free))
+        order = np.argsort(names[rows])
+        self._names, self._place = names[rows][order], rows[order]
 
-    def where(self, names: Int) -> tuple[NDArray[np.bool_], Int]:
-        """Which of some unknowns it has, and where."""
+    def preconditioner(self, names: Int) -> Apply:
+        """P of Eq. (1) for unknowns of these names; 0 for those that it does not have."""
         place = np.searchsorted(self._names, names).clip(max=len(self._names) - 1)
-        return self._names[place] == names, self._order[place]
+        known = np.flatnonzero(self._names[place] == names)
+        place = self._place[place[known]]
+        f, x = self._f.FV().NumPy(), self._x.FV().NumPy()
+        many = len(f) > MANY
 
-    def __call__(self, f: Float) -> Float:
-        """Solution for a right-hand side, in its own numbering and unit of pressure."""
-        self._f.FV().NumPy()[:] = f
-        self._x.data = self._inverse * self._f
-        return np.array(self._x.FV().NumPy())
+        def apply(r: Float) -> Float:
+            z = np.zeros_like(r)
+            f[:] = 0.0
+            f[place] = r[known]
+            with TaskManager() if many else nullcontext():
+                self._x.data = self._inverse * self._f
+            z[known] = x[place]
+            return z
+
+        return apply
+
+
+def mended(first: Apply, apply: Apply, a: Any, b: Any, s: Any, inside: NDArray[np.bool_]) -> Apply:
+    """Eq. (1), from P and K, for the unknowns `inside` (N,) of blocks of the matrix."""
+    split = a.shape[0]
+    rows = np.flatnonzero(inside)
+    u, p = rows[rows < split], rows[rows >= split] - split
+    A, B, S = a[u][:, u], b[p][:, u], s[p][:, p]
+    own = (B**2) @ (1.0 / A.diagonal())
+    patch = splu(block_array([[A, B.T], [B, -S - diags_array(PIVOT * own)]], format="csc"))
+
+    def both(r: Float) -> Float:
+        z = first(r)
+        z[rows] += patch.solve((r - apply(z))[rows])
+        return z
+
+    return both
 
 
 def gmres(
-    apply: Callable[[Float], Float],
-    precondition: Callable[[Float], Float],
+    apply: Apply,
+    precondition: Apply,
     f: Float,
     tolerance: float,
     most: int,
@@ -131,4 +155,4 @@ def gmres(
     return sum(c * z for c, z in zip(y, kept, strict=True)), count, abs(float(g[count]))
 
 
-__all__ = ["Lagged", "csr", "gmres"]
+__all__ = ["Apply", "Lagged", "csr", "gmres", "mended"]

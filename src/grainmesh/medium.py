@@ -119,7 +119,7 @@ class Fluid:
     torque: bool = True
     added_mass: float = 0.0
     push: tuple[float, float] = (0.0, 0.0)
-    tolerance: float = 1e-8
+    tolerance: float = 1e-6
 
     def __post_init__(self) -> None:
         for name in ("density", "viscosity", "dt", "reach", "spacing", "tolerance"):

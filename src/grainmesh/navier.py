@@ -46,6 +46,7 @@ from ngsolve import (
 )
 from numpy.typing import NDArray
 
+from grainmesh.lagged import csr
 from grainmesh.mesh import spaces
 from grainmesh.saddle import threads
 
@@ -111,6 +112,22 @@ class Operator:
         self.b = BilinearForm(trialspace=self.V, testspace=self.Q)
         self.b += self.E * InnerProduct(u, grad(q)) * once
         self.s = BilinearForm(self.S * InnerProduct(grad(p), grad(q)) * once)
+        # All of it at once, for a factor.
+        X = self.V * self.Q
+        (u, p), (v, q) = X.TnT()
+        self.whole = BilinearForm(
+            (
+                self.inertia * InnerProduct(u, v)
+                + 2.0 * mu * eps * InnerProduct(Sym(Grad(u)), Sym(Grad(v)))
+                - 2.0 / 3.0 * mu * eps * div(u) * div(v)
+                + self.E * (InnerProduct(grad(p), v) + InnerProduct(u, grad(q)))
+                - self.S * InnerProduct(grad(p), grad(q))
+            )
+            * once
+        )
+        self.free_bits = X.FreeDofs()
+        u, v = self.V.TnT()
+        p, q = self.Q.TnT()
         self._momentum = LinearForm(rho * eps * InnerProduct(self.u, v) * once)
         e, w = self.foretold, self.w
         self._convection = LinearForm(
@@ -157,20 +174,13 @@ class Operator:
         with threads(self.mesh):
             for form in (self.a, self.b, self.s):
                 form.Assemble()
-            self._bt = self.b.mat.CreateTranspose()
+        self.blocks = csr(self.a.mat), csr(self.b.mat), csr(self.s.mat)
 
     def apply(self, x: Float) -> Float:
         """Left sides of (1) and (2) for unknowns (N,)."""
-        split = self.V.ndof
-        u, p = self.u.vec.CreateVector(), self.p.vec.CreateVector()
-        u.FV().NumPy()[:], p.FV().NumPy()[:] = x[:split], x[split:]
-        first, second = u.CreateVector(), p.CreateVector()
-        with threads(self.mesh):
-            first.data = self.a.mat * u
-            first.data += self._bt * p
-            second.data = self.b.mat * u
-            second.data -= self.s.mat * p
-        return np.concatenate([first.FV().NumPy(), second.FV().NumPy()])
+        a, b, s = self.blocks
+        u, p = x[: self.V.ndof], x[self.V.ndof :]
+        return np.concatenate([a @ u + b.T @ p, b @ u - s @ p])
 
     @property
     def x(self) -> Float:

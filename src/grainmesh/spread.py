@@ -31,7 +31,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from grainmesh.cells import diagram, wrapped
+from grainmesh.cells import Diagram, diagram, wrapped
 from grainmesh.domain import Box
 from grainmesh.errors import InputError
 from grainmesh.flips import _back
@@ -55,10 +55,13 @@ class Spread:
         Area A_i of the cell, cut by the walls and by the reach [m2].
     share : csr_array (n, m)
         S_iv, Eq. (1): not negative but for round-off, rows sum to 1.
+    cells : Diagram
+        Neighbours of the cells.
     """
 
     area: Float
     share: csr_array
+    cells: Diagram
 
 
 def spread(
@@ -70,6 +73,7 @@ def spread(
     triangles: Int,
     neighbours: Int,
     shifts: Int,
+    cells: Diagram | None = None,
 ) -> Spread:
     """Shares of the vertices in the power cells of the particles, Eqs. (1)-(3).
 
@@ -84,6 +88,9 @@ def spread(
     points, triangles, neighbours, shifts
         Mesh as in `living.Living`; the first n points are `x`. Vertices may be unused.
 
+    cells : Diagram, optional
+        That of an earlier call with discs at the same places, on whatever mesh.
+
     Returns
     -------
     Spread
@@ -97,10 +104,10 @@ def spread(
         raise InputError(f"the reach of the particles is {reach:g} m, it must be positive")
     window = np.array([[0.0, 0.0], box.size])
     inside = wrapped(box, x)
-    found = diagram(box, inside, radius**2, radius, window)
     # No cell has a point farther from its particle than this: all is finite without a reach.
     far = box.size if box.periodic else np.maximum(np.abs(x), np.abs(x - box.size)).max(axis=0)
     reach = min(reach, 2.0 * float(np.hypot(*far)))
+    found = cells or diagram(box, inside, radius**2, radius, window, far=2.0 * reach)
     square, circle = _regular(4, 2.0 * reach), _regular(CORNERS, reach)
     period = box.size if box.periodic else np.zeros(2)
     # Copies: a read-only array would be compiled for once more.
@@ -120,7 +127,7 @@ def spread(
             "positive triangles"
         )
     area.setflags(write=False)
-    return Spread(area, csr_array((share, vertex, start), shape=(len(x), len(points))))
+    return Spread(area, csr_array((share, vertex, start), shape=(len(x), len(points))), found)
 
 
 def _regular(corners: int, radius: float) -> Float:
