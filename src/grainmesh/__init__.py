@@ -7,11 +7,12 @@
 (2, 2)
 """
 
-from grainmesh import arrange, closures
+from grainmesh import arrange, closures, drag
 from grainmesh.contact import Contact
 from grainmesh.domain import Box
 from grainmesh.errors import InputError, RunError
 from grainmesh.measure import Contacts
+from grainmesh.medium import Fluid, Inflow, NoSlip, Outlet, Slip
 from grainmesh.model import Model
 from grainmesh.particles import Particles
 from grainmesh.permeability import Permeability, permeability
@@ -26,16 +27,22 @@ __all__ = [
     "Box",
     "Contact",
     "Contacts",
+    "Fluid",
+    "Inflow",
     "InputError",
     "Model",
+    "NoSlip",
+    "Outlet",
     "Particles",
     "Permeability",
     "RunError",
     "Simulation",
+    "Slip",
     "Triangulation",
     "Wall",
     "arrange",
     "closures",
+    "drag",
     "permeability",
     "relax",
     "resume",

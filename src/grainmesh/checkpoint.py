@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from grainmesh.contact import Contact
 from grainmesh.domain import Box
 from grainmesh.errors import InputError
+from grainmesh.medium import Fluid, described, from_description
 from grainmesh.model import FUNCTION, Model
 from grainmesh.walls import Wall
 
@@ -73,8 +74,8 @@ def write(folder: str | Path, model: Model, numbers: dict[str, Any], arrays: Arr
     return path
 
 
-def read(folder: str | Path) -> tuple[Model, dict[str, Any], Arrays]:
-    """What `write` wrote: model, numbers and arrays.
+def read(folder: str | Path, fluid: Fluid | None = None) -> tuple[Model, dict[str, Any], Arrays]:
+    """What `write` wrote: model, numbers and arrays; `fluid` stands in for one with functions.
 
     Raises
     ------
@@ -104,7 +105,18 @@ def read(folder: str | Path) -> tuple[Model, dict[str, Any], Arrays]:
         fields["box"] = Box(**fields["box"])
         fields["contact"] = Contact(**fields["contact"])
         fields["walls"] = tuple(Wall(**wall) for wall in fields["walls"])
+        if isinstance(fields["fluid"], dict):
+            fields["fluid"] = from_description(fields["fluid"])
+        elif fields["fluid"] == FUNCTION:
+            if fluid is None:
+                raise InputError(
+                    f"{path}: give the fluid of the model again, its drag or an inflow was a "
+                    "function"
+                )
+            fields["fluid"] = fluid
         return Model(**fields), numbers, arrays
+    except InputError:
+        raise
     except (OSError, KeyError, TypeError, ValueError, RuntimeError) as fault:
         raise InputError(f"{path}: damaged or not a checkpoint ({fault})") from None
 
@@ -123,6 +135,7 @@ def _fields(model: Model) -> dict[str, Any]:
         "open": model.open,
         "escape": model.escape,
         "dt": model.dt,
+        "fluid": model.fluid and (described(model.fluid) or FUNCTION),
     }
 
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from math import isfinite
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grainmesh.domain import SIDES
-from grainmesh.drag import Drag
+from grainmesh.drag import DRAGS, Drag, from_name
 from grainmesh.errors import InputError
 
 Float = NDArray[np.float64]
@@ -152,4 +153,27 @@ class Fluid:
         return tuple(name for name in SIDES if isinstance(self.side(name), kinds))
 
 
-__all__ = ["Fluid", "Inflow", "NoSlip", "Outlet", "Slip"]
+KINDS = {kind.__name__: kind for kind in (NoSlip, Slip, Inflow, Outlet)}
+
+
+def described(fluid: Fluid) -> dict[str, Any] | None:
+    """A fluid as text and numbers; None if its drag or an inflow is a function of one's own."""
+    found = {item.name: getattr(fluid, item.name) for item in fields(fluid)}
+    if any(callable(getattr(side, "velocity", None)) for side in fluid.sides.values()):
+        return None
+    depth = {"depth": fluid.drag.depth} if hasattr(fluid.drag, "depth") else {}
+    if fluid.drag.name not in DRAGS or from_name(fluid.drag.name, **depth) != fluid.drag:
+        return None
+    return found | {
+        "drag": {"name": fluid.drag.name} | depth,
+        "sides": {name: [type(s).__name__, vars(s)] for name, s in fluid.sides.items()},
+    }
+
+
+def from_description(text: dict[str, Any]) -> Fluid:
+    """The fluid of `described`."""
+    sides = {name: KINDS[kind](**values) for name, (kind, values) in text["sides"].items()}
+    return Fluid(**(text | {"drag": from_name(**text["drag"]), "sides": sides}))
+
+
+__all__ = ["Fluid", "Inflow", "NoSlip", "Outlet", "Slip", "described", "from_description"]

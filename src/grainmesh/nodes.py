@@ -136,8 +136,8 @@ class Bounded(Living):
         if not self._put_in(order):
             name = order[~np.isin(order, self.triangles)][0]
             raise InputError(
-                f"particle {name} has no place in the triangulation: another has the same centre or "
-                "covers it, remove one of them"
+                f"particle {name} has no place in the triangulation: another has the same centre "
+                "or covers it, remove one of them"
             )
         if not self._repair():
             raise InputError(self._deepest())

@@ -34,6 +34,7 @@ from grainmesh.measure import (
     overlaps,
     wall_overlaps,
 )
+from grainmesh.medium import Fluid
 from grainmesh.model import Force, Model, fixed_of
 from grainmesh.motion import (
     EX,
@@ -812,7 +813,9 @@ class Simulation:
         return f"the {side} wall" if side else f"wall {number}"
 
 
-def resume(folder: str | Path, force: Force | None = None) -> Simulation:
+def resume(
+    folder: str | Path, force: Force | None = None, fluid: Fluid | None = None
+) -> Simulation:
     """The simulation saved in a folder; it goes on as if it had not been stopped, bit by bit.
 
     Parameters
@@ -821,13 +824,15 @@ def resume(folder: str | Path, force: Force | None = None) -> Simulation:
         That was given as ``save`` to `Simulation.run`.
     force : callable, optional
         The force of the model again, if it was a function.
+    fluid : Fluid, optional
+        The fluid of the model again, if its drag law or an inflow is a function of your own.
 
     Raises
     ------
     InputError
         If there is no checkpoint, it is damaged, or the function is missing.
     """
-    model, numbers, arrays = checkpoint.read(folder)
+    model, numbers, arrays = checkpoint.read(folder, fluid)
     if (model.force == checkpoint.FUNCTION) != (force is not None):
         what = (
             "give the force of the model again, it was a function"
