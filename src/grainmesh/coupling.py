@@ -42,7 +42,6 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from ngsolve import Integrate
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
@@ -57,7 +56,6 @@ from grainmesh.medium import Fluid, Inflow, NoSlip, Outlet, Slip
 from grainmesh.mesh import flow_mesh
 from grainmesh.navier import Operator
 from grainmesh.nodes import Bounded, bounded
-from grainmesh.saddle import threads
 from grainmesh.spread import spread
 
 Float = NDArray[np.float64]
@@ -392,8 +390,10 @@ class Coupling:
         self._set_sides()
         clock("rest")
         op.assemble()
-        f = (c * (self.Q + dt * C) + c1 * self.D) / dt + op.vector("source")
-        f = np.concatenate([f, op.vector("flux") + op.vector("inflow")])
+        f = op.vector("source")
+        f[: op.V.ndof] += (c * (self.Q + dt * C) + c1 * self.D) / dt
+        if fluid.names(Inflow):
+            f[op.V.ndof :] += op.vector("inflow")
         clock("matrix")
         residual = self._linear(f, c / dt * fluid.density)
         clock("solve")
@@ -403,9 +403,7 @@ class Coupling:
         self.D = Q - self.Q - dt * C
         self.Q = Q
         # Eq. (3) and the force of the fluid.
-        self.around = k.mean(self._moments("around"))
-        slope = k.mean(self._moments("slope"))
-        self.curl = k.mean(self._moments("curl"))
+        self.around, slope, self.curl = (k.mean(self._at_points(part)) for part in op.means())
         pull = b[:, None] * self.around - V[:, None] * slope
         found = alpha[:, None] * (ahead + dt * free[:, None] * pull)
         found[~discs.free] = 0.0
@@ -483,9 +481,7 @@ class Coupling:
     def _make_factor(self) -> None:
         """A factor of the matrix at hand, and all that is needed to make it again."""
         op, mesh = self.operator, self.mesh
-        with threads(op.mesh):
-            op.whole.Assemble()
-            self._factor = Lagged(op.whole.mat, op.V.ndof, op.free_bits, self._names())
+        self._factor = op.factor(self._names())
         self._factor_faces = self.keys.faces
         self.factors += 1
         fields = {name: getattr(op, name) for name in ("eps", "inertia", "E", "S")}
@@ -551,8 +547,8 @@ class Coupling:
         p = np.zeros((old_p.size, 1))
         use = old_op.free[old_op.V.ndof :] | (not self.box.periodic)
         p[old_p.of_mesh[use], 0] = old_op.p.vec.FV().NumPy()[use]
-        old_porosity, old_total = self.kernel.porosity, _per_triangle(old_op)
-        old_total += _extra_per_triangle(old_keys, loads[0])
+        old_porosity = self.kernel.porosity
+        before = _gathered(old_op, old_keys, self.Q)[: len(old_porosity)]
         self._build()
         op, keys = self.operator, self.keys
         u, du = (_spread_out(keys, carry(old_keys, keys, values)) for values in fields)
@@ -564,10 +560,10 @@ class Coupling:
         self.kernel = self._kernel(self.kernel.cells)
         self._load_porosity()
         self._set_sides()
-        total = _per_triangle(op) + _extra_per_triangle(keys, loads[0])
         moved = np.abs(self.kernel.porosity - old_porosity) > 1e-13
         weight = self.kernel.porosity * self.kernel.hats
-        loads[0][: len(weight)] += _made_up(old_keys, keys, old_total, total, moved, weight)
+        after = _gathered(op, keys, op.vector("momentum"))[: len(weight)] + loads[0][: len(weight)]
+        loads[0][: len(weight)] += _made_up(old_keys, keys, before - after, moved, weight)
         self.extra, self.D = (_load_of(op, keys, values) for values in loads)
         self.Q = op.vector("momentum") + self.extra
 
@@ -607,12 +603,12 @@ class Coupling:
     def _load_porosity(self) -> None:
         self.operator.load(eps=self.kernel.porosity[self.grid.vertex])
 
-    def _moments(self, form: str) -> Float:
-        """Moments at the points, (m, 2) or (m,)."""
-        found, vertex, m = self.operator.moments(form), self.grid.vertex, len(self.mesh.points)
-        if found.ndim == 1:
-            return np.bincount(vertex, found, m)
-        return np.stack([np.bincount(vertex, part, m) for part in found.T], axis=1)
+    def _at_points(self, moments: Float) -> Float:
+        """Moments with the hats of the points, (m, 2) or (m,), from those of the vertices."""
+        vertex, m = self.grid.vertex, len(self.mesh.points)
+        if moments.ndim == 1:
+            return np.bincount(vertex, moments, m)
+        return np.stack([np.bincount(vertex, part, m) for part in moments.T], axis=1)
 
     def _points_of(self, field: Any) -> Float:
         """Values of a velocity at the points (m, 2); 0 at those that are no vertex."""
@@ -723,60 +719,36 @@ def _load_of(op: Operator, keys: Keys, values: Float) -> Float:
     return found
 
 
-def _per_triangle(op: Operator) -> Float:
-    """Momentum of the fluid in each triangle [kg/s], (t, 2)."""
-    density = op.density * op.eps
-    parts = (
-        Integrate(density * op.u[axis], op.mesh, order=op.order + 2, element_wise=True)
-        for axis in range(2)
-    )
-    return np.stack([part.NumPy() for part in parts], axis=1)
-
-
-def _extra_per_triangle(keys: Keys, load: Float) -> Float:
-    """A load vector's momentum at vertices, shared by the triangles around them, (t, 2)."""
-    m = len(keys.points)
-    count = np.bincount(keys.triangles.ravel(), minlength=m)
-    shared = load[:m] / np.maximum(count, 1)[:, None]
-    found: Float = shared[keys.triangles].sum(axis=1)
-    return found
-
-
 def _made_up(
-    old: Keys, new: Keys, before: Float, after: Float, moved: NDArray[np.bool_], weight: Float
+    old: Keys, new: Keys, missing: Float, moved: NDArray[np.bool_], weight: Float
 ) -> Float:
     """Momentum to add at the points (m, 2), so that each region that changed keeps its own.
 
-    A region is a set of triangles, old or new, that hang together by points whose porosity or
-    triangles have changed; before and after (t, 2) are the momenta of old and new triangles.
+    Regions are sets of points, linked by edges, whose porosity or triangles have changed, and the
+    corners of all triangles around them; `missing` (m, 2) is the momentum that their hats have
+    lost, spread over a region by `weight` (m,).
     """
     m = len(new.points)
-    touched = moved.copy()
+    changed = moved.copy()
     for one, other in ((old, new), (new, old)):
-        lost = ~np.isin(one.faces_of_triangles, other.faces)
-        touched[one.triangles[lost]] = True
-    i, j = [], []
-    for keys in (old, new):
-        for a, b in ((0, 1), (1, 2), (2, 0)):
-            both = touched[keys.triangles[:, a]] & touched[keys.triangles[:, b]]
-            i.append(keys.triangles[both, a])
-            j.append(keys.triangles[both, b])
-    rows, columns = np.concatenate(i), np.concatenate(j)
-    graph = coo_array((np.ones(len(rows), np.int8), (rows, columns)), shape=(m, m))
-    region = connected_components(graph, directed=False)[1]
-    missing = np.zeros((region.max() + 1, 2))
-    for keys, sign, momentum in ((old, 1.0, before), (new, -1.0, after)):
-        inside = touched[keys.triangles]
-        t = np.flatnonzero(inside.any(axis=1))
-        where = region[keys.triangles[t, np.argmax(inside[t], axis=1)]]
-        np.add.at(missing, where, sign * momentum[t])
-    heavy = np.zeros(m)
+        changed[one.triangles[~np.isin(one.faces_of_triangles, other.faces)]] = True
+    links = [
+        keys.triangles[changed[keys.triangles].any(axis=1)][:, [[0, 1], [1, 2]]].reshape(-1, 2)
+        for keys in (old, new)
+    ]
+    i, j = np.concatenate(links).T
+    graph = coo_array((np.ones(len(i), np.int8), (i, j)), shape=(m, m))
+    count, region = connected_components(graph, directed=False)
+    inside = np.zeros(m, dtype=bool)
+    inside[i] = inside[j] = True
     used = np.zeros(m, dtype=bool)
     used[new.triangles] = True
-    heavy[touched & used] = weight[touched & used]
-    total = np.bincount(region, heavy, len(missing))
-    share = np.divide(heavy, total[region], out=np.zeros(m), where=total[region] > 0.0)
-    return share[:, None] * missing[region]
+    heavy = np.where(inside & used, weight, 0.0)
+    share = np.divide(
+        heavy, np.bincount(region, heavy, count)[region], where=heavy > 0.0, out=heavy
+    )
+    lost = [np.bincount(region, np.where(inside, part, 0.0), count) for part in missing.T]
+    return share[:, None] * np.stack(lost, axis=1)[region]
 
 
 __all__ = ["Coupling", "Discs", "Kernel"]

@@ -94,7 +94,8 @@ def flow_mesh(box: Box, points: Float, triangles: Int, shifts: Int, neighbours: 
     region = ngmesh.AddRegion("fluid", dim=2)
     ngmesh.AddElements(dim=2, index=region, data=corner.astype(np.int32), base=0)
     if box.periodic:
-        for group, pairs in enumerate(_identifications(corner, vertex, shift), start=1):
+        point = np.searchsorted(vertex[: first.sum()], vertex)  # the vertex of its lowest image
+        for group, pairs in enumerate(_identifications(corner, point, shift), start=1):
             for master, slave in np.column_stack(pairs).tolist():
                 ngmesh.AddPointIdentification(
                     master + 1, slave + 1, group, IdentificationType.PERIODIC

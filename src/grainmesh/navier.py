@@ -46,7 +46,7 @@ from ngsolve import (
 )
 from numpy.typing import NDArray
 
-from grainmesh.lagged import csr
+from grainmesh.lagged import Lagged, csr
 from grainmesh.mesh import spaces
 from grainmesh.saddle import threads
 
@@ -98,71 +98,71 @@ class Operator:
     def _forms(self, pressure: tuple[str, ...], no_slip: tuple[str, ...]) -> None:
         u, v = self.V.TnT()
         p, q = self.Q.TnT()
-        z = self.W.TestFunction()
-        mu, rho, eps, once = self.viscosity, self.density, self.eps, dx(bonus_intorder=1)
-        # Eq. (3), with c ρ ε/Δt + B in `inertia`.
-        self.a = BilinearForm(
-            (
-                self.inertia * InnerProduct(u, v)
-                + 2.0 * mu * eps * InnerProduct(Sym(Grad(u)), Sym(Grad(v)))
-                - 2.0 / 3.0 * mu * eps * div(u) * div(v)
-            )
-            * once
-        )
+        rho, eps, once = self.density, self.eps, dx(bonus_intorder=1)
+        degree = max(self.order, 3 if self.order == 1 else 2)  # of u, a bubble included
+        self.a = BilinearForm(self._viscous(u, v) * once)
         self.b = BilinearForm(trialspace=self.V, testspace=self.Q)
         self.b += self.E * InnerProduct(u, grad(q)) * once
         self.s = BilinearForm(self.S * InnerProduct(grad(p), grad(q)) * once)
-        # All of it at once, for a factor.
-        X = self.V * self.Q
-        (u, p), (v, q) = X.TnT()
-        self.whole = BilinearForm(
-            (
-                self.inertia * InnerProduct(u, v)
-                + 2.0 * mu * eps * InnerProduct(Sym(Grad(u)), Sym(Grad(v)))
-                - 2.0 / 3.0 * mu * eps * div(u) * div(v)
-                + self.E * (InnerProduct(grad(p), v) + InnerProduct(u, grad(q)))
-                - self.S * InnerProduct(grad(p), grad(q))
-            )
-            * once
+        self._momentum = LinearForm(
+            rho * eps * InnerProduct(self.u, v) * dx(bonus_intorder=degree + 1)
         )
-        self.free_bits = X.FreeDofs()
-        u, v = self.V.TnT()
-        p, q = self.Q.TnT()
-        self._momentum = LinearForm(rho * eps * InnerProduct(self.u, v) * once)
         e, w = self.foretold, self.w
         self._convection = LinearForm(
-            rho * eps * InnerProduct(e, Grad(v) * (e - w)) * dx(bonus_intorder=self.order)
+            rho * eps * InnerProduct(e, Grad(v) * (e - w)) * dx(bonus_intorder=2 * degree)
         )
         if pressure:  # what flows out takes its momentum with it; what flows in had none
             out = e * specialcf.normal(2)
             self._convection += (
                 -rho * eps * IfPos(out, out, 0.0) * InnerProduct(e, v)
-                * ds("|".join(pressure), bonus_intorder=self.order)
+                * ds("|".join(pressure), bonus_intorder=2 * degree)
             )  # fmt: skip
-        self._source = LinearForm(InnerProduct(self.f, v) * once)
-        self._flux = LinearForm(-InnerProduct(self.g, grad(q)) * once)
+        flux = eps * (self.u * specialcf.normal(2)) * q
         self._inflow = LinearForm(self.Q)
         if no_slip:
-            flux = eps * (self.u * specialcf.normal(2)) * q
             self._inflow += flux * ds("|".join(no_slip), bonus_intorder=1)
-        self._around = LinearForm(InnerProduct(self.u, z) * dx)
-        self._slope = LinearForm(InnerProduct(grad(self.p), z) * dx)
-        self._curl = LinearForm(
-            (Grad(self.u)[1, 0] - Grad(self.u)[0, 1]) * self.P1.TestFunction() * dx
+        (v, q), Du = (self.V * self.Q).TestFunction(), Grad(self.u)
+        self._source = LinearForm((InnerProduct(self.f, v) - InnerProduct(self.g, grad(q))) * once)
+        z, y, c = (self.W * self.W * self.P1).TestFunction()
+        self._means = LinearForm(
+            (InnerProduct(self.u, z) + InnerProduct(grad(self.p), y) + (Du[1, 0] - Du[0, 1]) * c)
+            * dx(bonus_intorder=degree)
         )
 
     def vector(self, form: str) -> Float:
-        """A load vector: momentum, convection, source, flux or inflow, Eqs. (1), (2)."""
+        """A load vector of Eqs. (1), (2): momentum and convection of V, source of V and Q, inflow
+        of Q.
+        """  # fmt: skip
         with threads(self.mesh):
             return np.array(getattr(self, "_" + form).Assemble().vec.FV().NumPy())
 
-    def moments(self, form: str) -> Float:
-        """Integrals of velocity (``around``), ∇p (``slope``) or ∇×u (``curl``) times the hats.
+    def means(self) -> tuple[Float, Float, Float]:
+        """Integrals of u (v, 2), ∇p (v, 2) and ∇×u (v,) times the hats of the vertices."""
+        v = self.mesh.nv
+        u, slope, curl = np.split(self.vector("means"), [2 * v, 4 * v])
+        return u.reshape(2, v).T, slope.reshape(2, v).T, curl
 
-        (v, 2), or (v,) for the curl, at the vertices of the mesh.
-        """
-        found = self.vector(form)
-        return found if form == "curl" else found.reshape(2, -1).T
+    def factor(self, names: NDArray[np.int64]) -> Lagged:
+        """A factor of the matrix of both equations, for unknowns of these names."""
+        X = self.V * self.Q
+        (u, p), (v, q) = X.TnT()
+        form = (
+            self._viscous(u, v)
+            + self.E * (InnerProduct(grad(p), v) + InnerProduct(u, grad(q)))
+            - self.S * InnerProduct(grad(p), grad(q))
+        )
+        with threads(self.mesh):
+            whole = BilinearForm(form * dx(bonus_intorder=1)).Assemble()
+            return Lagged(whole.mat, self.V.ndof, X.FreeDofs(), names)
+
+    def _viscous(self, u: Any, v: Any) -> Any:
+        """Eq. (3), with c ρ ε/Δt + B in `inertia`."""
+        mu, eps = self.viscosity, self.eps
+        return (
+            self.inertia * InnerProduct(u, v)
+            + 2.0 * mu * eps * InnerProduct(Sym(Grad(u)), Sym(Grad(v)))
+            - 2.0 / 3.0 * mu * eps * div(u) * div(v)
+        )
 
     def load(self, **fields: Float) -> None:
         """Set linear fields to values (v,) or (v, 2) at the vertices."""

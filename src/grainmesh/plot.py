@@ -9,6 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
+from shutil import which as installed
+from subprocess import run
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -23,6 +26,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from grainmesh.domain import Box
+from grainmesh.errors import InputError
 from grainmesh.fluid import Mesoscale
 from grainmesh.particles import Particles, settle
 from grainmesh.permeability import Permeability
@@ -38,6 +42,8 @@ SPEED = "viridis"
 
 #: Triangles that a picture of a flow is made of, at most about so many.
 FINEST = 400_000
+#: The same for a picture of moving discs, of which there are many.
+FINEST_FRAME = 40_000
 
 
 def discs(box: Box, particles: Particles, ax: Axes | None = None) -> Axes:
@@ -145,13 +151,10 @@ def speed(
     points, triangles, velocity = sample(flow, axis)
     mean = flow.tensor[axis, axis] / flow.scale**2
     corners = points[triangles]
-    centre = corners.mean(axis=1)
-    centre, _, which = _tiled(box, centre, np.abs(corners - centre[:, None]).max(axis=(1, 2)))
-    moved = centre - corners.mean(axis=1)[which]
-    drawn = (corners[which] + moved[:, None]).reshape(-1, 2)
+    drawn, which = _tiled_triangles(box, corners)
     value = (np.hypot(*velocity.T) / mean)[triangles[which]].ravel()
     field = ax.tripcolor(
-        Triangles(*drawn.T, np.arange(len(drawn)).reshape(-1, 3)),
+        drawn,
         value,
         shading="gouraud",
         cmap=SPEED,
@@ -182,8 +185,14 @@ def sample(flow: Resolved | Mesoscale, axis: int = 0) -> tuple[Float, NDArray[np
     velocity : (p, 2)
         mu u / (G scale^2), as `flow.velocity`.
     """
-    elements = flow.mesh.ne
-    parts = int(np.clip(np.sqrt(FINEST / elements), 1, 8))
+    points, triangles, at = _cut(flow.mesh)
+    velocity = np.asarray(flow.velocity[axis](at)).reshape(-1, 2)
+    return points * flow.scale, triangles, velocity
+
+
+def _cut(mesh: Any, finest: int = FINEST) -> tuple[Float, NDArray[np.int64], Any]:
+    """Points and straight triangles of a mesh, and where in the mesh the points are."""
+    parts = int(np.clip(np.sqrt(finest / mesh.ne), 1, 8))
     i, j = np.meshgrid(np.arange(parts + 1), np.arange(parts + 1), indexing="ij")
     inside = i + j <= parts
     number = np.full(i.shape, -1)
@@ -196,11 +205,124 @@ def sample(flow: Resolved | Mesoscale, axis: int = 0) -> tuple[Float, NDArray[np
     small.append(np.stack([number[a + 1, b], number[a + 1, b + 1], number[a, b + 1]], axis=1))
     pattern = np.concatenate(small)
     rule = IntegrationRule(points=local.tolist(), weights=[1.0] * len(local))
-    at = flow.mesh.MapToAllElements(rule, VOL)
+    at = mesh.MapToAllElements(rule, VOL)
     points = np.column_stack([np.ravel(c(at)) for c in (x, y)])
-    velocity = np.asarray(flow.velocity[axis](at)).reshape(-1, 2)
-    triangles = np.arange(elements)[:, None, None] * len(local) + pattern
-    return points * flow.scale, triangles.reshape(-1, 3), velocity
+    triangles = np.arange(mesh.ne)[:, None, None] * len(local) + pattern
+    return points, triangles.reshape(-1, 3), at
+
+
+def motion(
+    simulation: Simulation,
+    ax: Axes | None = None,
+    *,
+    show: str = "speed",
+    top: float | None = None,
+    edges: bool = False,
+    colorbar: bool = False,
+) -> Axes:
+    """Flow between moving discs, on its mesh as it is now.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        With fluid.
+    ax : matplotlib.axes.Axes, optional
+    show : str
+        "speed" of the fluid between the discs [m/s], or dynamic "pressure" [Pa].
+    top : float, optional
+        End of the scale; the largest value but for two in a hundred if not given.
+    edges : bool
+        Draw the edges of the triangles.
+    colorbar : bool
+        Draw the scale beside the axes.
+
+    Raises
+    ------
+    InputError
+        If there is no fluid, or `show` is unknown.
+    """
+    flow, box = simulation.flow, simulation.model.box
+    if flow is None:
+        raise InputError("plot.motion draws a simulation with fluid: use plot.discs without")
+    if show not in ("speed", "pressure"):
+        raise InputError(f"plot.motion: show '{show}' must be speed or pressure")
+    ax = _frame(box, ax)
+    mesh, op = flow.mesh, flow.operator
+    points, triangles, at = _cut(op.mesh, FINEST_FRAME)
+    value = np.asarray((op.u if show == "speed" else op.p)(at))
+    value = np.hypot(*value.reshape(-1, 2).T) if show == "speed" else value.ravel()
+    drawn, which = _tiled_triangles(box, points[triangles])
+    least = 0.0 if show == "speed" else float(np.quantile(value, 0.02))
+    most = float(np.quantile(value, 0.98)) if top is None else top
+    field = ax.tripcolor(
+        drawn,
+        value[triangles[which]].ravel(),
+        shading="gouraud",
+        cmap=SPEED,
+        vmin=least,
+        vmax=max(most, least + 1e-12),
+        rasterized=True,
+    )
+    if edges:
+        corners = mesh.points[mesh.triangles] + mesh.shifts * box.size
+        rings, _ = _tiled_triangles(box, corners)
+        ax.triplot(rings, color="white", lw=min(0.6, 8.0 / np.sqrt(len(corners))))
+    discs(box, simulation.particles, ax)
+    if colorbar:
+        label = "speed [m/s]" if show == "speed" else "pressure [Pa]"
+        ax.figure.colorbar(field, ax=ax, label=label, shrink=0.8)
+    return ax
+
+
+def frame(figure: Figure) -> Image.Image:
+    """A figure as an image for `animate`, of an even number of pixels each way; closes it."""
+    full = BytesIO()
+    figure.savefig(full, dpi=100, format="png")
+    plt.close(figure)
+    image = Image.open(full).convert("RGB")
+    return image.crop((0, 0, image.width // 2 * 2, image.height // 2 * 2))
+
+
+def animate(frames: Sequence[Image.Image], path: str | Path, rate: int = 15) -> Path:
+    """Write images of one size as a film: MP4 if ffmpeg is installed, else GIF.
+
+    Parameters
+    ----------
+    frames : sequence of PIL.Image.Image
+        See `frame`.
+    path : path
+        Its suffix is replaced by the one that fits.
+    rate : int
+        Frames per second.
+
+    Returns
+    -------
+    Path
+        What was written.
+
+    Raises
+    ------
+    InputError
+        If there are no frames, or ffmpeg fails.
+    """
+    if not frames:
+        raise InputError("animate: there are no frames")
+    path, program = Path(path), installed("ffmpeg")
+    if program is None:
+        path = path.with_suffix(".gif")
+        first, *rest = [image.quantize(128) for image in frames]
+        first.save(path, save_all=True, append_images=rest, duration=1000 // rate, loop=0)
+        return path
+    path = path.with_suffix(".mp4")
+    size = "x".join(map(str, frames[0].size))
+    source = f"-f rawvideo -pix_fmt rgb24 -s {size} -r {rate} -i -".split()
+    target = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "20"]
+    pixels = b"".join(image.tobytes() for image in frames)
+    done = run([program, "-y", *source, *target, str(path)], input=pixels, capture_output=True)
+    if done.returncode:
+        last = done.stderr.decode(errors="replace").strip().splitlines()[-1:]
+        raise InputError(f"animate: ffmpeg cannot write {path}: {' '.join(last)}")
+    return path
 
 
 def bars(results: Sequence[Permeability], ax: Axes | None = None) -> Axes:
@@ -280,6 +402,14 @@ def _frame(box: Box, ax: Axes | None) -> Axes:
     return ax
 
 
+def _tiled_triangles(box: Box, corners: Float) -> tuple[Triangles, NDArray[np.int64]]:
+    """Triangles (t, 3, 2), each on its own, with their periodic images, and whose they are."""
+    centre = corners.mean(axis=1)
+    place, _, which = _tiled(box, centre, np.abs(corners - centre[:, None]).max(axis=(1, 2)))
+    drawn = (corners[which] + (place - centre[which])[:, None]).reshape(-1, 2)
+    return Triangles(*drawn.T, np.arange(len(drawn)).reshape(-1, 3)), which
+
+
 def _images(box: Box, centre: Float, reach: Float) -> tuple[Float, Float]:
     """Centres of all images that reach into the box, and twice their reach [m]."""
     centre, reach, _ = _tiled(box, centre, reach)
@@ -314,4 +444,16 @@ def _tiled(box: Box, centre: Float, reach: Float) -> tuple[Float, Float, NDArray
     return place[near], reach[which], which
 
 
-__all__ = ["bars", "chains", "discs", "mesh", "overview", "sample", "save", "speed"]
+__all__ = [
+    "animate",
+    "bars",
+    "chains",
+    "discs",
+    "frame",
+    "mesh",
+    "motion",
+    "overview",
+    "sample",
+    "save",
+    "speed",
+]
