@@ -7,6 +7,7 @@ it are drawn. Nothing here chooses a backend or shows a window.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from shutil import which as installed
@@ -153,7 +154,7 @@ def speed(
     corners = points[triangles]
     drawn, which = _tiled_triangles(box, corners)
     value = (np.hypot(*velocity.T) / mean)[triangles[which]].ravel()
-    field = ax.tripcolor(
+    colours = ax.tripcolor(
         drawn,
         value,
         shading="gouraud",
@@ -163,7 +164,7 @@ def speed(
         rasterized=True,
     )
     if colorbar:
-        ax.figure.colorbar(field, ax=ax, label="speed / mean speed U", shrink=0.8, extend="max")
+        ax.figure.colorbar(colours, ax=ax, label="speed / mean speed U", shrink=0.8, extend="max")
     return ax
 
 
@@ -254,7 +255,7 @@ def motion(
     drawn, which = _tiled_triangles(box, points[triangles])
     least = 0.0 if show == "speed" else float(np.quantile(value, 0.02))
     most = float(np.quantile(value, 0.98)) if top is None else top
-    field = ax.tripcolor(
+    colours = ax.tripcolor(
         drawn,
         value[triangles[which]].ravel(),
         shading="gouraud",
@@ -270,59 +271,95 @@ def motion(
     discs(box, simulation.particles, ax)
     if colorbar:
         label = "speed [m/s]" if show == "speed" else "pressure [Pa]"
-        ax.figure.colorbar(field, ax=ax, label=label, shrink=0.8)
+        ax.figure.colorbar(colours, ax=ax, label=label, shrink=0.8)
     return ax
 
 
-def frame(figure: Figure) -> Image.Image:
-    """A figure as an image for `animate`, of an even number of pixels each way; closes it."""
-    full = BytesIO()
-    figure.savefig(full, dpi=100, format="png")
-    plt.close(figure)
-    image = Image.open(full).convert("RGB")
-    return image.crop((0, 0, image.width // 2 * 2, image.height // 2 * 2))
-
-
-def animate(frames: Sequence[Image.Image], path: str | Path, rate: int = 15) -> Path:
-    """Write images of one size as a film: MP4 if ffmpeg is installed, else GIF.
+@dataclass
+class Film:
+    """Pictures of a simulation while it runs: ``run(..., every=0.1, observe=film)``.
 
     Parameters
     ----------
-    frames : sequence of PIL.Image.Image
-        See `frame`.
-    path : path
-        Its suffix is replaced by the one that fits.
-    rate : int
-        Frames per second.
+    show, top, edges
+        As of `motion`.
 
-    Returns
-    -------
-    Path
-        What was written.
-
-    Raises
-    ------
-    InputError
-        If there are no frames, or ffmpeg fails.
+    Attributes
+    ----------
+    frames : list of PIL.Image.Image
+        One for each call.
     """
-    if not frames:
-        raise InputError("animate: there are no frames")
-    path, program = Path(path), installed("ffmpeg")
-    if program is None:
-        path = path.with_suffix(".gif")
-        first, *rest = [image.quantize(128) for image in frames]
-        first.save(path, save_all=True, append_images=rest, duration=1000 // rate, loop=0)
+
+    show: str = "speed"
+    top: float | None = None
+    edges: bool = False
+    frames: list[Image.Image] = field(default_factory=list)
+
+    def __call__(self, simulation: Simulation) -> None:
+        """Add a frame, of an even number of pixels each way, as encoders want."""
+        tall = simulation.model.box.height / simulation.model.box.width
+        size = (2.5, 2.5 * tall + 0.4) if tall > 1.0 else (4.0 / tall, 4.4)
+        figure, ax = plt.subplots(figsize=size, layout="constrained")
+        motion(simulation, ax, show=self.show, top=self.top, edges=self.edges)
+        ax.set_title(f"{simulation.t:.3g} s", fontsize=10)
+        ax.set_axis_off()
+        full = BytesIO()
+        figure.savefig(full, dpi=100, format="png")
+        plt.close(figure)
+        image = Image.open(full).convert("RGB")
+        self.frames.append(image.crop((0, 0, image.width // 2 * 2, image.height // 2 * 2)))
+
+    def strip(self, path: Path, count: int = 5) -> Path:
+        """Write some of the frames side by side as a PNG file; returns its path."""
+        if not self.frames:
+            raise InputError("film: there are no frames, pass it to run(observe=...)")
+        chosen = np.linspace(0, len(self.frames) - 1, min(count, len(self.frames)))
+        images = [self.frames[int(i)] for i in chosen]
+        width, height = images[0].size
+        wide = Image.new("RGB", (width * len(images), height))
+        for i, image in enumerate(images):
+            wide.paste(image, (i * width, 0))
+        wide.quantize(256, Image.Quantize.MAXCOVERAGE).save(path, optimize=True)
         return path
-    path = path.with_suffix(".mp4")
-    size = "x".join(map(str, frames[0].size))
-    source = f"-f rawvideo -pix_fmt rgb24 -s {size} -r {rate} -i -".split()
-    target = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "20"]
-    pixels = b"".join(image.tobytes() for image in frames)
-    done = run([program, "-y", *source, *target, str(path)], input=pixels, capture_output=True)
-    if done.returncode:
-        last = done.stderr.decode(errors="replace").strip().splitlines()[-1:]
-        raise InputError(f"animate: ffmpeg cannot write {path}: {' '.join(last)}")
-    return path
+
+    def save(self, path: Path, rate: int = 15) -> Path:
+        """Write the frames as a film: MP4 where ffmpeg is installed, else GIF.
+
+        Parameters
+        ----------
+        path : Path
+            Its suffix is replaced by the one that fits.
+        rate : int
+            Frames per second.
+
+        Returns
+        -------
+        Path
+            What was written.
+
+        Raises
+        ------
+        InputError
+            If there are no frames, or ffmpeg fails.
+        """
+        if not self.frames:
+            raise InputError("film: there are no frames, pass it to run(observe=...)")
+        program = installed("ffmpeg")
+        if program is None:
+            path = path.with_suffix(".gif")
+            first, *rest = [image.quantize(64) for image in self.frames]
+            first.save(path, save_all=True, append_images=rest, duration=1000 // rate, loop=0)
+            return path
+        path = path.with_suffix(".mp4")
+        size = "x".join(map(str, self.frames[0].size))
+        source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", str(rate), "-i", "-"]
+        target = ["-pix_fmt", "yuv420p", str(path)]
+        pixels = b"".join(image.tobytes() for image in self.frames)
+        done = run([program, "-y", *source, *target], input=pixels, capture_output=True)
+        if done.returncode:
+            last = done.stderr.decode(errors="replace").strip().splitlines()[-1:]
+            raise InputError(f"film: ffmpeg cannot write {path}: {' '.join(last)}")
+        return path
 
 
 def bars(results: Sequence[Permeability], ax: Axes | None = None) -> Axes:
@@ -445,11 +482,10 @@ def _tiled(box: Box, centre: Float, reach: Float) -> tuple[Float, Float, NDArray
 
 
 __all__ = [
-    "animate",
+    "Film",
     "bars",
     "chains",
     "discs",
-    "frame",
     "mesh",
     "motion",
     "overview",
