@@ -1,0 +1,520 @@
+"""Fluid and particles together: what is conserved, what rests, what settles as it must."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from ngsolve import GridFunction, Integrate, LinearForm, dx, grad
+
+import grainmesh as gm
+from grainmesh.closures import HexagonalLattice, SquareLattice
+from grainmesh.drag import Bed, Drag, Permeability
+from grainmesh.medium import Fluid, Inflow, NoSlip, Outlet, Slip
+
+D, G = 1e-3, 9.81
+SLOW, BOX = pytest.mark.slow, gm.Box(0.006, 0.008)
+LAW = gm.Contact(2e4, restitution=0.6, friction=0.3)
+WATER = Fluid(density=1000.0, viscosity=1e-3, drag=Permeability())
+
+
+@dataclass(frozen=True)
+class Linear(Drag):
+    """b of each disc, the same always."""
+
+    b: float
+    name = reference = medium = "linear"
+    variable, valid = "porosity", (0.0, 1.0)
+
+    def _argument(self, bed: Bed):
+        return bed.porosity
+
+    def _coefficient(self, bed: Bed):
+        return np.full_like(bed.area, self.b)
+
+
+def soup(n=40, porosity=0.55, seed=2, gravity=(1.0, -G), **of_fluid):
+    """Discs of unequal size and density that stir a periodic box and collide."""
+    rng = np.random.default_rng(seed)
+    box, grains = gm.arrange.random(n, porosity=porosity, diameter=D, min_gap=0.02, seed=seed)
+    grains = gm.Particles(grains.x, D * rng.uniform(0.8, 1.0, n), rng.uniform(500.0, 4000.0, n))
+    model = gm.Model(box, LAW, gravity=gravity, fluid=replace(WATER, **of_fluid))
+    return gm.Simulation(model, grains, velocity=rng.normal(0.0, 0.03, (n, 2)))
+
+
+def closed(n=60, density=2500.0, seed=1, size=(0.012, 0.018), gravity=(0.0, -G), **of_fluid):
+    """Discs of unequal size in a box with walls."""
+    box = gm.Box(*size)
+    grains = gm.arrange.loose(box, n, diameter=(0.7 * D, D), density=density, seed=seed)
+    model = gm.Model(box, LAW, gravity=gravity, fluid=replace(WATER, **of_fluid))
+    return gm.Simulation(model, grains)
+
+
+def step(run, times=1):
+    """Steps of the flow, as long as it likes."""
+    for _ in range(times):
+        run._flow_step(10**9)
+    return run
+
+
+def momentum(flow):
+    """Of fluid and particles [kg/s], (2,)."""
+    of_fluid = flow.Q.reshape(2, -1)[:, : len(flow.grid.vertex)].sum(axis=1)
+    return of_fluid + flow.discs.mass @ flow.velocity
+
+
+# Conservation -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scheme", ["euler", "bdf2"])
+@pytest.mark.parametrize(
+    ("order", "spacing", "push"),
+    [(1, None, (3.0, 2.0)), (2, None, (3.0, 2.0)), (3, None, (0.0, 0.0)), (2, 0.7e-3, (3.0, 2.0))],
+)
+def test_momentum(order, spacing, push, scheme):
+    """Fluid and particles together gain what pushes them, and nothing else, to round-off.
+
+    For BDF2 as well: if each D of the last step was Δt F, Eq. (4) of navier gives Δt' F again.
+    """
+    porosity = 0.55 if spacing is None else 0.8
+    run = soup(porosity=porosity, order=order, spacing=spacing, push=push, scheme=scheme)
+    flow, start, exchanged, met, nodes = run.flow, momentum(run.flow), 0.0, 0, set()
+    for _ in range(60):
+        step(run)
+        exchanged += np.abs(flow.force).sum() * flow.dt
+        gained = momentum(flow) - start
+        assert (
+            np.abs(gained - np.array(push) * run.model.box.area * run.t).max() < 1e-11 * exchanged
+        )
+        met += len(run.contacts)
+        nodes.add(int(flow.mesh.in_use.sum()))
+    assert flow.mesh.flips > 20
+    assert met > 20
+    assert (len(nodes) > 3) == (spacing is not None)
+
+
+def test_solid_volume_is_that_of_the_discs():
+    """∫(1 - ε) = sum V, always; shares of a disc sum to 1."""
+    for run in (soup(spacing=0.7e-3, porosity=0.8), closed(spacing=0.7e-3)):
+        for _ in range(20):
+            step(run)
+            k, V = run.flow.kernel, run.flow.discs.volume
+            assert (1.0 - k.porosity) @ k.hats == pytest.approx(V.sum(), rel=1e-12)
+            assert k.share.sum(axis=1) == pytest.approx(1.0, rel=1e-12)
+            used = run.flow.mesh.in_use
+            assert k.hats[used].sum() == pytest.approx(run.model.box.area, rel=1e-12)
+
+
+def flux(flow):
+    """What ∫(ε u + sum V ψ w_i)·∇q leaves over all q, and what it is of the discs alone.
+
+    w_i is the velocity of disc i in the flow that is at each place of its kernel, Eq. (3), whose
+    mean <w_i>_i is u_i.
+    """
+    op, V, c = flow.operator, flow.discs.volume, 1.0
+    share = flow.dt / (flow.discs.mass * c + flow.drag * flow.dt)  # α Δt/m
+    around, slope = (flow.kernel.mean(points(flow, part)) for part in (op.u, grad(op.p)))
+    there = flow.velocity - (share * flow.drag)[:, None] * around + (share * V)[:, None] * slope
+
+    def field(space, values):
+        found = GridFunction(space)
+        found.vec.FV().NumPy()[:] = flow.kernel.field(values)[flow.grid.vertex].T.ravel()
+        return found
+
+    solid = field(op.W, V[:, None] * there)
+    solid += field(op.P1, V * share * flow.drag) * op.u
+    solid -= field(op.P1, V**2 * share) * grad(op.p)
+    slope, free = grad(op.Q.TestFunction()), op.free[op.V.ndof :]
+
+    def against(field):
+        form = LinearForm(field * slope * dx(bonus_intorder=op.order + 2)).Assemble()
+        return np.linalg.norm(form.vec.FV().NumPy()[free])
+
+    return against(op.eps * op.u + solid), against(solid)
+
+
+def points(flow, field):
+    """Integrals of a field times the hats of the points, (m, 2)."""
+    form = LinearForm(field * flow.operator.W.TestFunction() * dx(bonus_intorder=4)).Assemble()
+    found = form.vec.FV().NumPy().reshape(2, -1)
+    size = len(flow.mesh.points)
+    return np.stack([np.bincount(flow.grid.vertex, part, size) for part in found], axis=1)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_volume_of_the_mixture(order):
+    """∇·(ε u + sum V ψ u_i) = 0 against all pressures, to the tolerance of the solver."""
+    for run in (soup(order=order, tolerance=1e-9), closed(order=order, tolerance=1e-9)):
+        seen = 0
+        for _ in range(20):
+            mesh = run.flow.operator
+            step(run)
+            if run.flow.operator is mesh:  # else the velocity is on another mesh by now
+                left, of_discs = flux(run.flow)
+                assert left < 1e-6 * of_discs
+                seen += 1
+        assert seen > 3
+
+
+# Rest ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("order", "steps"), [(1, 60), (2, 60), pytest.param(2, 1000, marks=SLOW)])
+def test_grains_as_heavy_as_the_fluid_stay_at_rest(order, steps):
+    """To 1e-10 of the speed at which they would fall without buoyancy; some touch walls."""
+    rng = np.random.default_rng(0)
+    d = D * rng.uniform(0.6, 1.0, 16)
+    x = gm.arrange.loose(BOX, 16, diameter=d, seed=3).x.copy()
+    x = np.where(x < D, 0.5 * d[:, None], x)
+    model = gm.Model(BOX, LAW, gravity=(0.7, -G), fluid=replace(WATER, order=order))
+    run = gm.Simulation(model, gm.Particles(x, d, WATER.density))
+    flow, most = run.flow, 0.0
+    for _ in range(steps):
+        step(run)
+        most = max(most, np.abs(flow.velocity).max())
+    fall = (flow.discs.mass * G / flow.drag).max()
+    assert most < 1e-10 * fall
+    assert np.abs(flow.operator.u.vec.FV().NumPy()).max() < 1e-10 * fall
+
+
+# Settling -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("porosity", [0.5, 0.7, 0.95])
+@pytest.mark.parametrize("lattice", ["hexagonal", "square"])
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_lattice_settles_as_darcy_says(lattice, porosity, order):
+    """At K (1 - ε) Δρ g/mu relative to the mixture; the slip is that over ε."""
+    law = {"hexagonal": HexagonalLattice(), "square": SquareLattice()}[lattice]
+    box, grains = getattr(gm.arrange, lattice)(4, 4, porosity=porosity, diameter=D)
+    grains = replace(grains, density=2500.0)
+    mu = 0.2
+    fluid = replace(WATER, viscosity=mu, drag=Permeability(law), order=order, dt=2e-3)
+    run = gm.Simulation(gm.Model(box, LAW, gravity=(0.0, -G), fluid=fluid), grains)
+    while run.t < 0.1:
+        step(run)
+    flow = run.flow
+    V = flow.discs.volume
+    op = flow.operator
+    through = Integrate(op.eps * op.u, op.mesh)
+    mixture = (np.array(through) + V @ flow.velocity) / box.area
+    speed = flow.velocity - mixture
+    K = D**2 * law._permeability(np.array([porosity]))[0]
+    expected = np.array([0.0, -K * (1.0 - porosity) * 1500.0 * G / mu])
+    assert np.abs(speed - expected).max() < 1e-3 * np.abs(expected).max()
+    # No disc settles otherwise than the rest.
+    assert np.ptp(flow.velocity, axis=0).max() < 1e-5 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("scheme", ["euler", "bdf2"])
+def test_one_disc_in_a_fluid_that_it_hardly_moves(scheme):
+    """v = v_T (1 - exp(-b t/m)), v_T = (m - rho V) g/b, to the order of the scheme in b Δt/m."""
+    box, mass = gm.Box(2.0, 2.0), 1e5 * np.pi * D**2 / 4.0
+    b = 0.5 * mass / 1e-2
+    errors = []
+    for dt in (4e-4, 2e-4):
+        fluid = Fluid(density=1.0, viscosity=1e7 * b, drag=Linear(b), scheme=scheme, dt=dt)
+        fluid, law = replace(fluid, tolerance=1e-12), gm.Contact(5e4)
+        model = gm.Model(box, law, gravity=(0.0, -G), fluid=fluid, dt=dt / 8.0)
+        run = gm.Simulation(model, gm.Particles([[1.0, 1.0]], D, 1e5))
+        run.run(until=2e-2)
+        terminal = (mass - 1.0 * np.pi * D**2 / 4.0) * G / b
+        exact = -terminal * (1.0 - np.exp(-b * run.t / mass))
+        errors.append(abs(run.flow.velocity[0, 1] - exact) / terminal)
+    assert errors[0] < {"euler": 2e-2, "bdf2": 1e-3}[scheme]
+    assert errors[0] / errors[1] > {"euler": 1.8, "bdf2": 3.0}[scheme]
+
+
+def test_the_slip_of_one_disc():
+    """b (<u> - u_i) - V <∇p> holds up the weight, all three taken from the fields."""
+    b = 0.05
+    fluid = replace(WATER, viscosity=0.1, drag=Linear(b), dt=2e-3, tolerance=1e-10)
+    model = gm.Model(gm.Box(0.02, 0.03), LAW, gravity=(0.0, -G), fluid=fluid)
+    run = gm.Simulation(model, gm.Particles([[0.011, 0.02]], D, 2500.0))
+    while run.t < 0.1:
+        step(run)
+    flow, op = run.flow, run.flow.operator
+    mesh = flow.operator
+    while True:  # a step after which the fields are those it has solved for
+        v = flow.velocity.copy()
+        step(run)
+        if flow.operator is mesh:
+            break
+        mesh = flow.operator
+    op, V = flow.operator, flow.discs.volume[0]
+    psi = GridFunction(op.P1)
+    psi.vec.FV().NumPy()[:] = flow.kernel.field(np.ones(1))[flow.grid.vertex]
+    assert Integrate(psi, op.mesh) == pytest.approx(1.0, rel=1e-12)
+    mean = np.array(Integrate(psi * op.u, op.mesh, order=6))
+    slope = np.array(Integrate(psi * grad(op.p), op.mesh, order=6))
+    force = b * (mean - flow.velocity[0]) - V * slope
+    weight = 1500.0 * V * np.array([0.0, -G])
+    inertia = flow.discs.mass[0] * (flow.velocity - v)[0] / flow.dt
+    assert np.abs(force + weight - inertia).max() < 1e-6 * np.abs(weight).max()
+    assert np.abs(inertia).max() < 0.1 * np.abs(weight).max()
+
+
+def bed(density, steps, dt=1e-3, n=24, drag=WATER.drag, gravity=(0.0, -G), **of_fluid):
+    """Grains that fall or rise in a small box, in steps of one length; the largest speed of all."""
+    box = gm.Box(0.006, 0.008)
+    stiffness = 20.0 * max(density, WATER.density)
+    law = gm.Contact(stiffness, restitution=0.5, friction=0.3)
+    grains = gm.arrange.loose(box, n, diameter=(0.8 * D, D), density=density, seed=4)
+    fluid = replace(WATER, drag=drag, dt=dt, **of_fluid)
+    run = gm.Simulation(gm.Model(box, law, gravity=gravity, fluid=fluid), grains)
+    fastest = 0.0
+    for _ in range(steps):
+        step(run)
+        fastest = max(fastest, float(np.abs(run.flow.velocity).max()))
+    return run, fastest
+
+
+@pytest.mark.parametrize(
+    ("ratio", "steps"),
+    [
+        (0.01, 40), (0.1, 40), (1.0, 40), (2.5, 40), (1000.0, 40),
+        *(pytest.param(ratio, 600, marks=SLOW) for ratio in (0.01, 0.1, 2.5, 1000.0)),
+    ],
+)  # fmt: skip
+def test_any_density_at_the_same_step(ratio, steps):
+    """No blow-up: nothing gets faster than it would falling freely; a bed forms and rests."""
+    run, fastest = bed(ratio * WATER.density, steps)
+    flow, height = run.flow, run.model.box.height
+    rise = abs(ratio - 1.0) / ratio * G
+    assert fastest <= min(np.sqrt(2.0 * rise * height), rise * run.t) + 1e-12
+    assert run.halved == 0
+    top, floor = run.x[:, 1] + run.particles.radius, run.x[:, 1] - run.particles.radius
+    assert floor.min() > -0.01 * D
+    assert top.max() < height + 0.01 * D
+    if steps > 100:
+        assert fastest > 1e-3
+        assert np.abs(flow.velocity).max() < 1e-3 * fastest
+        at_rest = floor.min() if ratio > 1.0 else height - top.max()
+        assert abs(at_rest) < 0.01 * D
+        V, m = flow.discs.volume, flow.discs.mass
+        weight = (m - WATER.density * V).sum() * G
+        held = run.wall_contacts.force
+        assert np.abs(held).sum() > 0.5 * abs(weight)
+
+
+@pytest.mark.parametrize("number", [1e-3, 1.0, 1e3, 1e6])
+def test_any_drag_at_the_same_step(number):
+    """b Δt/m from nothing to all: grains in contact on the floor never get fast."""
+    mass, dt = 2500.0 * np.pi * D**2 / 4.0, 1e-3
+    run, fastest = bed(2500.0, 60, dt, drag=Linear(number * mass / dt))
+    free = 0.6 * G
+    assert fastest <= free * run.t
+    assert run.halved == 0
+    # Alone in fluid at rest a disc falls at (m - rho V) g/b at most; the fluid can carry it on.
+    if number >= 1e3:
+        slip = np.hypot(*(run.flow.around - run.flow.velocity).T)
+        assert slip.max() < 2.0 * free * dt / number
+
+
+# Continuity ---------------------------------------------------------------------------------------
+
+
+def test_flips_leave_no_spikes():
+    """Steps of porosity, velocity and force at a flip are like those without one."""
+    run = soup(gravity=(0.0, -1.0), dt=2.5e-4, seed=5)
+    run._set_velocity(0.0 * run.velocity, 0.0 * run.spin)
+    run.flow.velocity[:] = 0.0
+    n, flow = len(run), run.flow
+    kept, flipped, free = [], [], []
+    step(run, 8)  # the start is a jump of its own
+    for _ in range(100):
+        if len(run.contacts):
+            break
+        corners = flow.mesh.triangles.copy()
+        kept.append(np.column_stack([flow.kernel.porosity[:n], flow.velocity, flow.force]))
+        step(run)
+        new = np.zeros(n, dtype=bool)
+        same = np.isin(edges(flow.mesh.triangles), edges(corners))
+        new[flow.mesh.triangles[~same.reshape(-1, 3).all(axis=1)]] = True
+        flipped.append(new)
+    kept, flipped = np.array(kept), np.array(flipped)[1:-1]
+    bend = np.abs(kept[2:] - 2.0 * kept[1:-1] + kept[:-2])  # (steps, n, 5)
+    near = flipped[: len(bend)]
+    size = np.ptp(kept, axis=(0, 1))
+    print(len(kept), near.sum(), bend[near].max(axis=0) / size, bend[~near].max(axis=0) / size)
+    assert near.sum() > 10
+
+
+def edges(triangles):
+    """A number of each edge, (3 t,)."""
+    ends = np.sort(np.stack([triangles, np.roll(triangles, 1, axis=1)], axis=-1), axis=-1)
+    return (ends[..., 0] * 10_000 + ends[..., 1]).ravel()
+
+
+# Restart ------------------------------------------------------------------------------------------
+
+
+def bits(run):
+    flow = run.flow
+    return [
+        run.x, run.velocity, run.spin, run.contacts.friction, flow.velocity, flow.force,
+        flow.operator.x, flow.extra, flow.D, flow.Q, flow.kernel.porosity, flow.mesh.triangles,
+        np.array([run.step, flow.time, flow.iterations, flow.factors]),
+        np.array([list(row.values()) for row in run.history]),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("make", "time"),
+    [
+        (lambda: closed(n=30, size=(0.008, 0.010)), 0.05),
+        (lambda: soup(n=24, scheme="bdf2", order=1), 0.03),
+        (lambda: soup(n=24, porosity=0.8, spacing=0.8e-3), 0.02),
+        pytest.param(lambda: closed(n=60, spacing=1e-3), 0.3, marks=SLOW),
+        pytest.param(lambda: soup(n=40, order=3), 0.1, marks=SLOW),
+    ],
+)
+def test_a_run_goes_on_bit_for_bit(make, time, tmp_path):
+    """run(2T) = run(T), resume, run(T), with an old factor in use."""
+    one = make().run(until=time, every=time / 4.0)
+    old = one.flow.factors
+    one.save(tmp_path)
+    iterations = []
+    one.run(
+        until=2.0 * time, every=time / 4.0, observe=lambda r: iterations.append(r.flow.iterations)
+    )
+    two = gm.resume(tmp_path)
+    two.run(until=2.0 * time, every=time / 4.0)
+    assert old >= 1
+    assert max(iterations) > 1
+    assert len(one.contacts) > 0
+    for a, b in zip(bits(one), bits(two), strict=True):
+        assert np.array_equal(a, b)
+
+
+# Invariance ---------------------------------------------------------------------------------------
+
+EXACT = replace(WATER, tolerance=1e-12, dt=1e-3)
+
+
+def fallen(turn=None, scale=(1.0, 1.0, 1.0), order=None, steps=20, **of_fluid):
+    """Grains after some steps, started from an image of one and the same arrangement.
+
+    Lengths, masses and times are multiplied by `scale`; grains are taken in another `order`.
+    """
+    length, mass, time = scale
+    size, gravity = np.array([0.008, 0.010]), np.array([2.0, -G])
+    grains = gm.arrange.loose(gm.Box(*size), 30, diameter=(0.7 * D, D), gap=0.4, seed=2)
+    x = grains.x
+    if turn is not None:
+        x, gravity, size = turn(x - size / 2.0), turn(gravity), np.abs(turn(size))
+        x = x + size / 2.0
+    order = np.arange(30) if order is None else order
+    particles = gm.Particles(
+        length * x[order], length * grains.diameter[order],
+        mass / length**3 * grains.density[order],
+    )  # fmt: skip
+    fluid = replace(
+        EXACT, density=mass / length**3 * 1000.0, viscosity=mass / length / time * 1e-3,
+        dt=time * EXACT.dt, **of_fluid,
+    )  # fmt: skip
+    law = gm.Contact(mass / length / time**2 * 2e4, friction=0.3)
+    model = gm.Model(
+        gm.Box(*(length * size)), law, gravity=tuple(length / time**2 * gravity), fluid=fluid,
+        dt=time * 1e-5,
+    )  # fmt: skip
+    run = step(gm.Simulation(model, particles), steps)
+    back = np.argsort(order)
+    return run.flow.velocity[back] * time / length, run.flow.force[back] * time**2 / mass
+
+
+def test_mirror_and_turn():
+    """A mirror image falls as a mirror image, a box turned by 90 degrees turned by 90 degrees."""
+    v, force = fallen()
+    for turn in (lambda x: x * [-1.0, 1.0], lambda x: x[..., ::-1] * [-1.0, 1.0]):
+        u, pull = fallen(turn=turn)
+        assert np.abs(u - turn(v)).max() < 1e-7 * np.abs(v).max()
+        assert np.abs(pull - turn(force)).max() < 1e-7 * np.abs(force).max()
+
+
+def test_units():
+    """Other units of length, mass and time change nothing."""
+    v, force = fallen()
+    for scale in ((1e3, 1.0, 1.0), (1.0, 1e-3, 1.0), (1.0, 1.0, 60.0), (1e6, 1e9, 1e3)):
+        u, pull = fallen(scale=scale)
+        assert np.abs(u - v).max() < 1e-7 * np.abs(v).max(), scale
+        assert np.abs(pull - force).max() < 1e-7 * np.abs(force).max(), scale
+
+
+def test_numbers_of_grains():
+    """Grains may be given in any order."""
+    v, force = fallen()
+    u, pull = fallen(order=np.random.default_rng(0).permutation(30))
+    assert np.abs(u - v).max() < 1e-7 * np.abs(v).max()
+    assert np.abs(pull - force).max() < 1e-7 * np.abs(force).max()
+
+
+# Bad input ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"density": 0.0}, "density = 0 must be positive"),
+        ({"viscosity": -1.0}, "viscosity = -1 must be positive"),
+        ({"dt": np.nan}, "dt = nan must be positive"),
+        ({"reach": 0.0}, "reach = 0 must be positive"),
+        ({"spacing": np.inf}, "spacing = inf must be positive"),
+        ({"tolerance": -1e-6}, "tolerance = -1e-06 must be positive"),
+        ({"added_mass": -0.5}, "added_mass = -0.5 must not be negative"),
+        ({"drag": "stokes"}, "drag 'stokes' must be a law of grainmesh.drag"),
+        ({"order": 0}, "order 0 must be a whole number from 1"),
+        ({"order": 1.5}, "order 1.5 must be a whole number from 1"),
+        ({"scheme": "bdf3"}, "scheme 'bdf3' must be 'euler' or 'bdf2'"),
+        ({"sides": {"lid": Slip()}}, "side 'lid' must be one of left, right, bottom, top"),
+        ({"sides": {"top": "open"}}, "the top side must be NoSlip"),
+    ],
+)
+def test_fluids_that_cannot_be(given, message):
+    with pytest.raises(gm.InputError, match=message.replace("(", r"\(")):
+        replace(WATER, **given)
+
+
+def test_models_that_cannot_be():
+    box, torus = gm.Box(0.01, 0.01), gm.Box(0.01, 0.01, periodic=True)
+    with pytest.raises(gm.InputError, match="fluid must be a grainmesh.Fluid"):
+        gm.Model(box, LAW, fluid="water")
+    with pytest.raises(gm.InputError, match="drop open="):
+        gm.Model(box, LAW, fluid=WATER, open="top")
+    with pytest.raises(gm.InputError, match="a periodic box has no sides"):
+        gm.Model(torus, LAW, fluid=replace(WATER, sides={"top": Slip()}))
+    with pytest.raises(gm.InputError, match="drop ledger=True"):
+        gm.Simulation(
+            gm.Model(box, LAW, fluid=WATER), gm.Particles([[0.005, 0.005]], D), ledger=True
+        )
+
+
+def test_flow_that_has_nowhere_to_go():
+    """What flows in must flow out; the number is said."""
+    box, grain = gm.Box(0.01, 0.02), gm.Particles([[0.005, 0.005]], D)
+    up = Inflow((0.0, 0.02))
+
+    def run(**sides):
+        model = gm.Model(box, LAW, fluid=replace(WATER, sides=sides))
+        return step(gm.Simulation(model, grain), 2)
+
+    with pytest.raises(gm.InputError, match=r"0\.000\d* m2/s flow into the box"):
+        run(bottom=up)
+    with pytest.raises(gm.InputError, match="not finite"):
+        run(bottom=Inflow(lambda x, t: np.full_like(x, np.nan)), top=Outlet())
+    run(bottom=up, top=up)
+    flow = run(bottom=up, top=Outlet(), left=Slip(), right=NoSlip(0.01)).flow
+    assert np.isfinite(flow.operator.x).all()
+
+
+def test_too_few_discs_in_a_periodic_box():
+    model = gm.Model(gm.Box(0.01, 0.01, periodic=True), LAW, fluid=WATER)
+    with pytest.raises(gm.InputError, match="too few particles"):
+        gm.Simulation(model, gm.Particles([[0.005, 0.005]], D))
+
+
+def test_discs_that_leave_no_room():
+    """A porosity that no mesh can hold is refused with place and number."""
+    x = [[i * 0.97 * D, j * 0.84 * D] for j in range(6) for i in range(6)]
+    model = gm.Model(gm.Box(0.0059, 0.0052), gm.Contact(1e5), fluid=WATER)
+    with pytest.raises(gm.RunError, match="leave a porosity of"):
+        gm.Simulation(model, gm.Particles(np.array(x) + 0.5 * D, D))
