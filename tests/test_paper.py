@@ -95,3 +95,19 @@ def test_fig2(tmp_path):
         mean = [np.mean([U for p, U in truth if p == level]) for level in levels]
         assert (np.diff(mean) > 0).all()
         assert 1e-7 < mean[0] < mean[-1] < 1e-2
+
+
+def test_fig3(tmp_path):
+    paper.fig3(tmp_path, quick=True)
+    rows = read(tmp_path / "fig3.csv")
+    t, y, v = (np.array([float(r[name]) for r in rows]) for name in ("t", "y", "v"))
+    assert {r["triangles"] for r in rows} == {"12"}
+    # The velocity is that of the centre, and starts as free fall of (1 - rho_f/rho_p) g.
+    np.testing.assert_allclose(
+        np.diff(y), np.diff(t) * 0.5 * (v[1:] + v[:-1]), rtol=0.05, atol=1e-4
+    )
+    assert 0.6 * paper.SIDE - 0.17 * t[-1] < y[-1] < 0.6 * paper.SIDE
+    # It approaches the speed of the law, 0.169 m/s, with its relaxation time, and stays there.
+    assert -v[0] < 0.11
+    np.testing.assert_allclose(-v[t > 0.3], paper.SETTLED, rtol=0.03)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["fig3.csv", "fig3.png"]

@@ -39,7 +39,7 @@ ParserError: type[Exception] = typer.BadParameter.__mro__[2]
 #: Discs thicker than this [m] are rare enough to ask for the unit of the file.
 LARGE = 2.0
 FILES = ("permeability.json", "permeability.csv", "permeability.png")
-FIGURES = ("fig1", "fig2")
+FIGURES = ("fig1", "fig2", "fig3")
 
 app = typer.Typer(
     name="grainmesh",
@@ -245,13 +245,13 @@ def permeability(
 
 @app.command()
 def paper(
-    figure: Annotated[str, typer.Argument(metavar="FIGURE", help="fig1 or fig2.")],
+    figure: Annotated[str, typer.Argument(metavar="FIGURE", help="fig1, fig2 or fig3.")],
     out: Annotated[Path, typer.Option(help="Folder to write the picture and its numbers to.")],
     quick: Annotated[bool, typer.Option("--quick", help="Fewer samples, fewer discs.")] = False,
 ) -> None:
     """Make a figure of the paper again (Yazdchi, Srivastava, Luding 2013), with its numbers."""
     if figure not in FIGURES:
-        raise InputError(f"figure '{figure}' unknown: use {' or '.join(FIGURES)}")
+        raise InputError(f"figure '{figure}' unknown: use one of {', '.join(FIGURES)}")
     report.prove_writable(out, [f"{figure}.png", f"{figure}.csv"])
     with _progress() as tell, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
