@@ -293,14 +293,14 @@ class Coupling:
         rate = float((crossed / np.maximum(area, twice.min())).max())
         if rate > 0.0:
             longest = min(longest, COURANT / rate)
-        if self.dt > 0.0:
-            longest = min(longest, 2.0 * self.dt + dt)  # BDF2 is stable for ratios to 2.4
         # Powers of two that grow reluctantly: the matrix, and its factor, then change less often.
         count = max(1, int(longest / dt + 1e-9))
         power = 2 ** (count.bit_length() - 1)
         if power * dt > 1.5 * self.dt > 0.0 and count < 1.5 * power:
             power = max(1, power // 2)
-        return min(most, power)
+        if self.dt > 0.0 and self.fluid.scheme == "bdf2":  # stable for ratios to 2.4
+            power = min(power, max(1, 2 * round(self.dt / dt)))
+        return -(-most // -(-most // power))  # what is left of `most`, in equal parts
 
     def push(self, dt: float) -> tuple[Float, Float]:
         """Force (n, 2) [N/m] and drag (n, 3) on the discs in the next `dt` [s], Eq. (5).
@@ -461,7 +461,7 @@ class Coupling:
             fresh = self._factor is None or attempt == 1
             if fresh:
                 self._make_factor()
-            apply, precondition = _scaled(op.apply, self._preconditioner(), scale)
+            apply, precondition = _scaled(op.apply, self._levelled(self._preconditioner()), scale)
             delta, self.iterations, left = gmres(apply, precondition, r, goal, MOST)
             if left <= goal:
                 break
@@ -473,10 +473,24 @@ class Coupling:
             )
         if self.iterations > FEW and not fresh:
             self._factor, self._recipe = None, {}
-        op.x = x0 + scale * delta
+        op.x = self._levelled(lambda x: x)(x0 + scale * delta)
         residual = f - op.apply(op.x)
         residual[~free] = 0.0
         return residual
+
+    def _levelled(self, solve: Apply) -> Apply:
+        """The same with a mean pressure of 0, where nothing else gives it a level."""
+        if not self.box.periodic and self.fluid.names(Outlet):
+            return solve
+        op, split = self.operator, self.operator.V.ndof
+        level = split + np.flatnonzero(op.free[split:][: len(self.grid.vertex)])
+
+        def levelled(f: Float) -> Float:
+            x = solve(f)
+            x[level] -= x[level].mean()
+            return x
+
+        return levelled
 
     def _make_factor(self) -> None:
         """A factor of the matrix at hand, and all that is needed to make it again."""
@@ -557,13 +571,19 @@ class Coupling:
             self.pressure_keys.of_mesh, 0
         ]
         loads = [carry_load(old_keys, keys, values) for values in loads]
+        used = np.zeros(len(old_porosity), dtype=bool)
+        used[keys.triangles] = True
+        lost = np.where(used[:, None], 0.0, loads[1][: len(used)])  # of nodes that have left
+        for load in loads:
+            load[: len(used)][~used] = 0.0
         self.kernel = self._kernel(self.kernel.cells)
         self._load_porosity()
         self._set_sides()
         moved = np.abs(self.kernel.porosity - old_porosity) > 1e-13
         weight = self.kernel.porosity * self.kernel.hats
         after = _gathered(op, keys, op.vector("momentum"))[: len(weight)] + loads[0][: len(weight)]
-        loads[0][: len(weight)] += _made_up(old_keys, keys, before - after, moved, weight)
+        for load, missing in zip(loads, (before - after, lost), strict=True):
+            load[: len(weight)] += _made_up(old_keys, keys, missing, moved, weight)
         self.extra, self.D = (_load_of(op, keys, values) for values in loads)
         self.Q = op.vector("momentum") + self.extra
 

@@ -19,7 +19,7 @@ from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
-from ngsolve import TaskManager
+from ngsolve import GetNumThreads, SetNumThreads, TaskManager
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.sparse import block_array, csr_array, diags_array
@@ -31,7 +31,7 @@ Float = NDArray[np.float64]
 Int = NDArray[np.int64]
 Apply = Callable[[Float], Float]
 
-#: More unknowns than this are worth a second thread.
+#: More unknowns than this are worth a second thread; below, equal input gives equal bits.
 MANY = 40_000
 
 
@@ -57,7 +57,13 @@ class Lagged:
     """
 
     def __init__(self, matrix: Any, first: int, free: Any, names: Int) -> None:
-        self._inverse = SaddleFactor(matrix, first, free).inverse
+        # The factor of several threads is another one each time, by round-off.
+        count = GetNumThreads()
+        SetNumThreads(count if matrix.height > MANY else 1)
+        try:
+            self._inverse = SaddleFactor(matrix, first, free).inverse
+        finally:
+            SetNumThreads(count)
         self._f, self._x = matrix.CreateColVector(), matrix.CreateColVector()
         rows = np.flatnonzero(np.asarray(free))
         order = np.argsort(names[rows])

@@ -162,7 +162,8 @@ def fig3(out: Path, *, quick: bool = False, progress: Tell = lambda _: None) -> 
     model = Model(Box(SIDE, SIDE), Contact(stiffness=1e4), fluid=fluid)
     fall = Simulation(model, disc)
     assert fall.flow is not None
-    rows: list[Row] = []
+    start = {"t": 0.0, "y": fall.x[0, 1], "v": 0.0, "triangles": len(fall.flow.mesh.triangles)}
+    rows: list[Row] = [start | {"order": order}]
     figure, axes = plt.subplots(
         *(1, 4), figsize=(13, 3.4), width_ratios=(1.3, 1, 1, 1), layout="constrained"
     )
@@ -173,16 +174,16 @@ def fig3(out: Path, *, quick: bool = False, progress: Tell = lambda _: None) -> 
         progress(f"{now.t:.2f} s of {end:g} s")
         row = {"t": now.t, "y": now.x[0, 1], "v": now.velocity[0, 1]}
         rows.append(row | {"triangles": len(now.flow.mesh.triangles), "order": order})
-        if len(rows) in (2, 25, 50):
-            ax = plot.motion(now, next(shown), top=0.05, edges=True, colorbar=len(rows) == 50)
+        if len(rows) in (15, 151, 301):
+            ax = plot.motion(now, next(shown), top=0.02, edges=True, colorbar=len(rows) == 301)
             ax.set_title(f"{now.t:.2f} s", fontsize=10)
 
-    fall.run(until=end, every=end / 50, observe=observe)
+    fall.run(until=end, every=end / 300, observe=observe)
     ax = axes[0]
     ax.plot([r["t"] for r in rows], [-r["v"] for r in rows], color=plot.METHOD["resolved"])
     ax.axhline(SETTLED, color=plot.METHOD["mesoscale"], ls=":", label="the paper: 0.17 m/s")
-    ax.set(xlabel="t [s]", ylabel="settling speed [m/s]", xlim=(0.0, None), ylim=(0.0, None))
-    ax.legend(frameon=False, fontsize=9)
+    ax.set(xlabel="t [s]", ylabel="settling speed [m/s]", xlim=(0.0, end), ylim=(0.0, 0.18))
+    ax.legend(frameon=False, fontsize=9, loc="lower right")
     ax.spines[["top", "right"]].set_visible(False)
     comments = [
         *_made("fig3", quick),
