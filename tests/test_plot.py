@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from PIL import Image
 
 import grainmesh as gm
 from grainmesh import plot
@@ -140,3 +141,85 @@ def test_overview_is_a_small_file(case, tmp_path):
         plot.save(figure, tmp_path / "x.png")
         assert not plt.fignum_exists(figure.number)
         assert 5_000 < (tmp_path / "x.png").stat().st_size < 300_000
+
+
+@pytest.fixture(scope="module", params=[True, False], ids=["periodic", "walls"])
+def moving(request):
+    box, grains = gm.arrange.random(20, porosity=0.7, diameter=1e-3, seed=3, periodic=request.param)
+    fluid = gm.Fluid(1000.0, 0.1, gm.drag.Permeability(), push=(5.0, 0.0))
+    model = gm.Model(box, gm.Contact(stiffness=1e3), fluid=fluid)
+    return gm.Simulation(model, grains).run(until=0.01)
+
+
+@pytest.mark.parametrize("show", ["speed", "pressure"])
+def test_motion_draws_the_flow_once_all_over_the_box(moving, show):
+    box, op = moving.model.box, moving.flow.operator
+    _, mine = plt.subplots()
+    assert plot.motion(moving, mine, show=show, edges=True, colorbar=True) is mine
+    assert (mine.get_xlim(), mine.get_ylim()) == ((0.0, box.width), (0.0, box.height))
+    colours = mine.collections[0]
+    corners, value = colours._triangulation, colours.get_array()
+    points = np.column_stack([corners.x, corners.y])
+    area = areas(points[corners.triangles])
+    middle = points[corners.triangles].mean(axis=1)
+    own = ((middle >= 0.0) & (middle < box.size)).all(axis=1)
+    assert area[own].sum() / box.area == pytest.approx(1.0, rel=0.02 if box.periodic else 1e-9)
+    tenth = 0.1 * np.ptp(value)  # linear within each part
+    images = np.array([[i, j] for i in (0, 1, -1) for j in (0, 1, -1)]) * box.size
+    compared = 0
+    for i in np.flatnonzero(own)[::40]:  # a torus is cut open somewhere: look where the mesh is
+        inside = points[corners.triangles[i]].mean(axis=0)
+        place = next(q for q in inside + images if op.mesh.Contains(*q))
+        found = (op.u if show == "speed" else op.p)(op.mesh(*place))
+        mean = value[corners.triangles[i]].mean()
+        assert mean == pytest.approx(np.hypot(*found) if show == "speed" else found, abs=tenth)
+        compared += 1
+    assert compared > 20
+
+
+def test_motion_needs_a_fluid_and_knows_what_to_show(moving):
+    dry = gm.Simulation(
+        gm.Model(gm.Box(1.0, 1.0), gm.Contact(1e4)), gm.Particles([[0.5, 0.5]], 0.1)
+    )
+    with pytest.raises(gm.InputError, match="use plot"):
+        plot.motion(dry)
+    with pytest.raises(gm.InputError, match="speed or pressure"):
+        plot.motion(moving, show="heat")
+
+
+def test_film(moving, tmp_path, monkeypatch):
+    with pytest.raises(gm.InputError, match="no frames"):
+        plot.Film().save(tmp_path / "x")
+    with pytest.raises(gm.InputError, match="no frames"):
+        plot.Film().strip(tmp_path / "x.png")
+    film = plot.Film()
+    film(moving)
+    shades = film.frames[0].size
+    film.frames += [Image.new("RGB", shades, c) for c in ("red", "green", "blue")]
+    assert shades[0] % 2 == shades[1] % 2 == 0
+    with Image.open(film.strip(tmp_path / "x.png", count=2)) as strip:
+        assert strip.size == (2 * shades[0], shades[1])
+        # The first and the last.
+        right = strip.convert("RGB").getpixel((strip.width - 1, 0))
+    assert right[2] > 200 > 50 > right[0]
+    monkeypatch.setattr(plot, "installed", lambda name: None)
+    written = film.save(tmp_path / "x.y")
+    assert written.suffix == ".gif"
+    with Image.open(written) as gif:
+        assert (gif.n_frames, gif.size) == (4, shades)
+
+
+def test_film_with_an_encoder(tmp_path, monkeypatch):
+    """A program in place of ffmpeg that keeps what it is given; then one that fails."""
+    encoder = tmp_path / "ffmpeg"
+    encoder.write_text('#!/bin/sh\nfor last; do :; done\ncat > "$last"\n')
+    encoder.chmod(0o755)
+    monkeypatch.setattr(plot, "installed", lambda name: str(encoder))
+    colours = ("red", "blue")
+    film = plot.Film(frames=[Image.new("RGB", (4, 2), c) for c in colours])
+    written = film.save(tmp_path / "x")
+    assert written.name == "x.mp4"
+    assert written.read_bytes() == b"\xff\0\0" * 8 + b"\0\0\xff" * 8
+    encoder.write_text("#!/bin/sh\ncat > /dev/null\necho 'no room' >&2\nexit 1\n")
+    with pytest.raises(gm.InputError, match="no room"):
+        film.save(tmp_path / "x")
