@@ -315,7 +315,7 @@ def test_any_drag_at_the_same_step(number):
 
 def test_flips_leave_no_spikes():
     """Steps of porosity, velocity and force at a flip are like those without one."""
-    run = soup(gravity=(0.0, -1.0), dt=2.5e-4, seed=5)
+    run = soup(gravity=(0.0, -1.0), dt=2.5e-4, seed=5, porosity=0.75)
     run._set_velocity(0.0 * run.velocity, 0.0 * run.spin)
     run.flow.velocity[:] = 0.0
     n, flow = len(run), run.flow
@@ -331,11 +331,14 @@ def test_flips_leave_no_spikes():
         same = np.isin(edges(flow.mesh.triangles), edges(corners))
         new[flow.mesh.triangles[~same.reshape(-1, 3).all(axis=1)]] = True
         flipped.append(new)
-    kept, flipped = np.array(kept), np.array(flipped)[1:-1]
+    kept, flipped = np.array(kept), np.array(flipped)
     bend = np.abs(kept[2:] - 2.0 * kept[1:-1] + kept[:-2])  # (steps, n, 5)
-    near = flipped[: len(bend)]
+    near = flipped[: len(bend)] | flipped[1 : len(bend) + 1]
+    near[1:] |= near[:-1].copy()  # the force answers a step later
     size = np.ptp(kept, axis=(0, 1))
-    print(len(kept), near.sum(), bend[near].max(axis=0) / size, bend[~near].max(axis=0) / size)
+    at_flip, elsewhere = bend[near].max(axis=0) / size, bend[~near].max(axis=0) / size
+    assert at_flip[0] < 0.1  # porosity itself has steps at flips, but small ones
+    assert (at_flip[1:] < 2.0 * elsewhere[1:]).all()
     assert near.sum() > 10
 
 
@@ -359,29 +362,27 @@ def bits(run):
 
 
 @pytest.mark.parametrize(
-    ("make", "time"),
+    ("make", "times"),
     [
-        (lambda: closed(n=30, size=(0.008, 0.010)), 0.05),
-        (lambda: soup(n=24, scheme="bdf2", order=1), 0.03),
-        (lambda: soup(n=24, porosity=0.8, spacing=0.8e-3), 0.02),
-        pytest.param(lambda: closed(n=60, spacing=1e-3), 0.3, marks=SLOW),
-        pytest.param(lambda: soup(n=40, order=3), 0.1, marks=SLOW),
+        (lambda: closed(n=30, size=(0.008, 0.010)), 2048),
+        (lambda: soup(n=24, scheme="bdf2", order=1), 2048),
+        (lambda: soup(n=24, porosity=0.8, spacing=0.8e-3), 1024),
+        pytest.param(lambda: closed(n=60, spacing=1e-3), 16384, marks=SLOW),
+        pytest.param(lambda: soup(n=40, order=3), 16384, marks=SLOW),
     ],
 )
-def test_a_run_goes_on_bit_for_bit(make, time, tmp_path):
+def test_a_run_goes_on_bit_for_bit(make, times, tmp_path):
     """run(2T) = run(T), resume, run(T), with an old factor in use."""
-    one = make().run(until=time, every=time / 4.0)
-    old = one.flow.factors
+    one = make()
+    time = times * one.dt
+    one.run(until=time, every=time)
+    assert one.flow.factors > 0
     one.save(tmp_path)
-    iterations = []
-    one.run(
-        until=2.0 * time, every=time / 4.0, observe=lambda r: iterations.append(r.flow.iterations)
-    )
     two = gm.resume(tmp_path)
-    two.run(until=2.0 * time, every=time / 4.0)
-    assert old >= 1
-    assert max(iterations) > 1
-    assert len(one.contacts) > 0
+    assert two.flow.iterations == one.flow.iterations > 1
+    for run in (one, two):
+        run.run(until=2.0 * time, every=time)
+    assert one.flow.mesh.flips > 0
     for a, b in zip(bits(one), bits(two), strict=True):
         assert np.array_equal(a, b)
 
@@ -476,7 +477,7 @@ def test_fluids_that_cannot_be(given, message):
 
 def test_models_that_cannot_be():
     box, torus = gm.Box(0.01, 0.01), gm.Box(0.01, 0.01, periodic=True)
-    with pytest.raises(gm.InputError, match="fluid must be a grainmesh.Fluid"):
+    with pytest.raises(gm.InputError, match=r"fluid must be a grainmesh\.Fluid"):
         gm.Model(box, LAW, fluid="water")
     with pytest.raises(gm.InputError, match="drop open="):
         gm.Model(box, LAW, fluid=WATER, open="top")
@@ -514,7 +515,8 @@ def test_too_few_discs_in_a_periodic_box():
 
 def test_discs_that_leave_no_room():
     """A porosity that no mesh can hold is refused with place and number."""
-    x = [[i * 0.97 * D, j * 0.84 * D] for j in range(6) for i in range(6)]
-    model = gm.Model(gm.Box(0.0059, 0.0052), gm.Contact(1e5), fluid=WATER)
+    x = [[i * 0.87 * D, j * 0.87 * D] for j in range(6) for i in range(6)]
+    model = gm.Model(gm.Box(0.0054, 0.0054), gm.Contact(1e5), fluid=WATER)
+    grains = gm.Particles(np.array(x) + 0.5 * D, D)
     with pytest.raises(gm.RunError, match="leave a porosity of"):
-        gm.Simulation(model, gm.Particles(np.array(x) + 0.5 * D, D))
+        gm.Simulation(model, grains, fixed=np.arange(36))
