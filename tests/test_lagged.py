@@ -1,0 +1,167 @@
+"""A kept factor, its mending, and GMRES, against dense solutions."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from ngsolve import Mesh, unit_square
+
+from grainmesh.lagged import csr, gmres, mended
+from grainmesh.navier import Operator
+
+
+def operator(order=2, change=0.0, seed=0):
+    """An operator with an outlet, its vertices moved by about `change`."""
+    mesh = Mesh(unit_square.GenerateMesh(maxh=0.35))
+    rng = np.random.default_rng(seed)
+    op = Operator(mesh, order, 1.0, 1.0, pressure=("right",), no_slip=("left", "bottom", "top"))
+    at = np.asarray(mesh.ngmesh.Coordinates())[:, :2]
+    inside = ((at > 1e-9) & (at < 1.0 - 1e-9)).all(axis=1)
+    at[inside] += change * rng.uniform(-1.0, 1.0, (inside.sum(), 2))
+    m = mesh.nv
+    op.load(eps=np.ones(m), E=np.ones(m), S=0.01 * np.ones(m), inertia=10.0 * np.ones(m))
+    op.assemble()
+    return op
+
+
+def dense(op):
+    """The matrix of the free unknowns."""
+    return np.array([op.apply(row) for row in np.eye(len(op.free))])[np.ix_(op.free, op.free)]
+
+
+def applied(op):
+    return lambda z: op.free * op.apply(op.free * z)
+
+
+@pytest.mark.parametrize("kind", ["definite", "indefinite", "not symmetric"])
+@given(seed=st.integers(0, 10**6), n=st.integers(1, 25))
+@settings(max_examples=25, deadline=None)
+def test_gmres_solves_and_tells_the_residual(kind, seed, n):
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(n, n))
+    if kind != "not symmetric":
+        Q = np.linalg.qr(A)[0]
+        sign = rng.choice([-1.0, 1.0], n) if kind == "indefinite" else 1.0
+        A = Q @ np.diag(sign * rng.uniform(0.5, 3.0, n)) @ Q.T
+    A += 0.0 if kind != "not symmetric" else 4.0 * np.sqrt(n) * np.eye(n)
+    f = rng.normal(size=n)
+    tolerance = 1e-9 * np.linalg.norm(f)
+    z, count, left = gmres(lambda v: A @ v, lambda v: v / 2.0, f, tolerance, n + 1)
+    assert count <= n + 1
+    assert left <= tolerance
+    assert np.linalg.norm(f - A @ z) == pytest.approx(left, abs=1e-2 * tolerance)
+    assert np.linalg.norm(z - np.linalg.solve(A, f)) < 100.0 * tolerance
+
+
+@given(seed=st.integers(0, 10**6), most=st.integers(1, 6))
+@settings(max_examples=20, deadline=None)
+def test_gmres_that_stops_early_tells_what_is_left_and_has_the_least(seed, most):
+    rng = np.random.default_rng(seed)
+    A, f = rng.normal(size=(20, 20)), rng.normal(size=20)
+    z, count, left = gmres(lambda v: A @ v, lambda v: v, f, 1e-12, most)
+    assert count == most
+    assert np.linalg.norm(f - A @ z) == pytest.approx(left, rel=1e-9)
+    krylov = [f]
+    for _ in range(most - 1):
+        krylov.append(A @ krylov[-1] / np.linalg.norm(A @ krylov[-1]))
+    basis = A @ np.linalg.qr(np.array(krylov).T)[0]
+    best = f - basis @ np.linalg.lstsq(basis, f)[0]
+    assert left == pytest.approx(np.linalg.norm(best), rel=1e-6)
+
+
+def test_gmres_has_nothing_to_do_below_its_tolerance():
+    z, count, left = gmres(lambda v: v / 0.0, lambda v: v / 0.0, np.full(4, 1e-3), 1.0, 5)
+    assert (count, left) == (0, 2e-3)
+    assert not z.any()
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_factor_is_the_inverse(order):
+    op, rng = operator(order), np.random.default_rng(1)
+    names = rng.permutation(10 * len(op.free))[: len(op.free)]
+    P = op.factor(names).preconditioner(np.where(op.free, names, -1))
+    r = op.free * rng.normal(size=len(op.free))
+    z = P(r)
+    assert not z[~op.free].any()
+    exact = np.linalg.solve(dense(op), r[op.free])
+    assert np.linalg.norm(z[op.free] - exact) < 1e-5 * np.linalg.norm(exact)
+
+
+def test_unknowns_may_be_numbered_anew():
+    op, rng = operator(), np.random.default_rng(2)
+    names = np.arange(len(op.free))
+    factor, r = op.factor(names), op.free * rng.normal(size=len(op.free))
+    known = np.where(op.free, names, -1)
+    z = factor.preconditioner(known)(r)
+    order = rng.permutation(len(r))
+    assert np.array_equal(factor.preconditioner(known[order])(r[order]), z[order])
+
+
+def test_unknowns_that_the_factor_does_not_have_stay_0_and_it_forgets_what_is_gone():
+    op, rng = operator(), np.random.default_rng(3)
+    names = np.arange(len(op.free))
+    factor, r = op.factor(names), op.free * rng.normal(size=len(op.free))
+    known = np.where(op.free, names, -1)
+    new = rng.random(len(r)) < 0.2
+    z = factor.preconditioner(np.where(new & op.free, known + 10**6, known))(r)
+    assert not z[new].any()
+    left_out = factor.preconditioner(known)(np.where(new, 0.0, r))
+    assert np.array_equal(z[~new], left_out[~new])
+    # What one application leaves behind does not show in the next.
+    fewer = factor.preconditioner(known[~new])
+    assert np.array_equal(fewer(r[~new]), z[~new])
+
+
+@given(seed=st.integers(0, 10**6), change=st.floats(0.0, 0.05))
+@settings(max_examples=8, deadline=None)
+def test_old_factor_leads_to_the_solution_of_the_new_matrix(seed, change):
+    old, new = operator(), operator(change=change, seed=seed)
+    names = np.where(old.free, np.arange(len(old.free)), -1)
+    P = old.factor(np.arange(len(old.free))).preconditioner(names)
+    r = new.free * np.random.default_rng(seed).normal(size=len(new.free))
+    goal = 1e-10 * np.linalg.norm(r)
+    z, _, left = gmres(applied(new), P, r, goal, 80)
+    assert left <= goal
+    assert np.linalg.norm(r - applied(new)(z)) <= 1.01 * goal
+    exact = np.linalg.solve(dense(new), r[new.free])
+    assert np.linalg.norm(z[new.free] - exact) < 1e-7 * np.linalg.norm(exact)
+
+
+def test_mending_solves_where_the_factor_knows_nothing():
+    op, rng = operator(), np.random.default_rng(4)
+    r = op.free * rng.normal(size=len(op.free))
+    goal = 1e-10 * np.linalg.norm(r)
+    # With no factor at all, and the patch everything, one application is the solution.
+    alone = mended(np.zeros_like, op.apply, *op.blocks, op.free)
+    exact = np.linalg.solve(dense(op), r[op.free])
+    assert np.linalg.norm(alone(r)[op.free] - exact) < 1e-6 * np.linalg.norm(exact)
+    # With part of the names unknown it is needed, and pays.
+    names = np.arange(len(op.free))
+    at = np.asarray(op.mesh.ngmesh.Coordinates())[:, :2]
+    lost = np.zeros(len(names), dtype=bool)
+    for t in op.mesh.Elements():
+        if np.hypot(*(at[[v.nr for v in t.vertices]].mean(axis=0) - 0.5)) < 0.25:
+            lost[[*op.V.GetDofNrs(t), *(op.V.ndof + k for k in op.Q.GetDofNrs(t))]] = True
+    lost &= op.free
+    assert 0 < lost.sum() < op.free.sum()
+    P = op.factor(names).preconditioner(np.where(op.free & ~lost, names, -1))
+    better = mended(P, op.apply, *op.blocks, lost)
+    z, count, left = gmres(applied(op), better, r, goal, 200)
+    assert left <= goal
+    assert np.linalg.norm(z[op.free] - exact) < 1e-7 * np.linalg.norm(exact)
+    # After it, nothing is left of the residual inside.
+    assert np.abs((r - op.apply(better(r)))[lost]).max() < 1e-5 * np.abs(r).max()
+    assert count < gmres(applied(op), P, r, goal, 200)[1]
+
+
+def test_csr_is_the_same_matrix_not_a_copy():
+    op = operator()
+    A = csr(op.a.mat)
+    v = op.a.mat.CreateColVector()
+    v.FV().NumPy()[:] = np.random.default_rng(5).normal(size=A.shape[1])
+    w = op.a.mat.CreateColVector()
+    w.data = op.a.mat * v
+    assert np.allclose(A @ v.FV().NumPy(), w.FV().NumPy(), rtol=1e-13, atol=1e-13)
+    A.data[:] *= 2.0
+    w.data = op.a.mat * v
+    assert np.allclose(A @ v.FV().NumPy(), w.FV().NumPy(), rtol=1e-13, atol=1e-13)
