@@ -82,9 +82,8 @@ def follow(simulation: gm.Simulation, until: float, longest: float) -> dict[str,
         rows.append(row)
 
     simulation._flow_step = timed  # type: ignore[method-assign]
-    span = until / 10
     while simulation.t < until - 1e-9 and perf_counter() - began < longest:
-        simulation.run(until=simulation.t + span)
+        simulation.run(until=simulation.t + flow.fluid.dt)
     return {key: np.array([row[key] for row in rows]) for key in rows[0]}
 
 
