@@ -7,6 +7,7 @@ READY := .venv/ready
 
 demo: $(READY) .venv/kernels
 	$(BIN)/python examples/carbon_fibres.py --out out/demo
+	$(BIN)/python examples/fluidised_bed.py --out out/demo
 
 test: $(READY) .venv/kernels
 	$(BIN)/pytest -m "not slow"

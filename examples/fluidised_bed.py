@@ -26,16 +26,18 @@ D, RAMP = 1e-3, 3e-3  # diameter [m], growth of the superficial velocity [m/s2]
 def main(out: Path, quick: bool = False) -> gm.Simulation:
     n, time = (60, 1.5) if quick else (150, 2.5)
     box = gm.Box(10.0 * D, 32.0 * D)
-    contact = gm.Contact(stiffness=2e4, restitution=0.3)
+    contact = gm.Contact(stiffness=5e4, restitution=0.3)
     grains = gm.arrange.loose(box, n, diameter=(0.9 * D, 1.1 * D), seed=1)
-    dry = gm.Simulation(gm.Model(box, contact), grains).run(until=0.3)
+    dry = gm.Simulation(gm.Model(box, contact), grains).run(until=0.5)
     sides = {
         "bottom": gm.Inflow(lambda x, t: np.tile([0.0, RAMP * t], (len(x), 1))),
         "top": gm.Outlet(), "left": gm.Slip(), "right": gm.Slip(),
     }  # fmt: skip
     law = gm.drag.Permeability(LAWS["hexagonal-lattice"])
     fluid = gm.Fluid(1000.0, 0.01, law, sides, dt=0.02, order=1, spacing=2.0 * D)
-    bed = gm.Simulation(gm.Model(box, contact, fluid=fluid), dry.particles)
+    # Smooth sides, or they would hold the bed back as it rises.
+    walls = [gm.Wall.of(box, side, friction=0.0) for side in ("left", "right")]
+    bed = gm.Simulation(gm.Model(box, contact, walls=walls, fluid=fluid), dry.particles)
 
     film, rows = plot.Film(), []
 
@@ -56,8 +58,11 @@ def main(out: Path, quick: bool = False) -> gm.Simulation:
     ax.set(xlabel="U [m/s]", ylim=(0.0, None))
     ax.legend(frameon=False)
     plot.save(figure, out / "pressure.png")
-    print(f"pressure drop over weight {drop[-1] / weight:.3f}, height {height[-1] / height[0]:.2f}")
-    assert abs(drop[-1] / weight - 1.0) < 0.05
+    carried = drop[0.75 * U[-1] < U].mean() / weight
+    print(
+        f"pressure drop over weight {carried:.3f}, height over first {height[-1] / height[0]:.2f}"
+    )
+    assert abs(carried - 1.0) < 0.05
     return bed
 
 

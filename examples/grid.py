@@ -34,7 +34,7 @@ def main(out: Path, quick: bool = False) -> gm.Simulation:
     up = height - D - grains.x[:, 1].max()
     grains = gm.Particles(grains.x + np.array([0.0, up]), grains.diameter, grains.density)
     against = gm.Model(box, contact, gravity=(0.0, 9.81), walls=walls)
-    packed = gm.Simulation(against, grains).run(until=0.3).particles
+    packed = gm.Simulation(against, grains).run(until=0.5).particles
     sides = {
         "bottom": gm.Inflow(lambda x, t: np.tile([0.0, FLOW * (1.0 - t / time)], (len(x), 1))),
         "top": gm.Outlet(), "left": gm.Slip(), "right": gm.Slip(),
