@@ -33,6 +33,12 @@ fluid would resist if it were no more than that of the disc's own cell, of mass 
 
 Were the fluid taken as fixed (b_eff = b), contacts would answer to a drag that the fluid gives up
 as soon as the disc stops, and a bed with b Δt > m_f would shake itself apart.
+
+A law for the velocity far away is not to see the flow that the disc itself makes, G_i F_i with the
+mobility G_i = ∫ψ_i e·u of slow flow u by the force ψ_i e on the same mesh. From F = b (<u> + G F -
+u_i),
+
+    F = b/(1 - b G) (<u>_i - u_i).                                                             (6)
 """
 
 from __future__ import annotations
@@ -65,12 +71,16 @@ Arrays = dict[str, NDArray[Any]]
 LEAST_POROSITY = 0.02
 #: Longest way of a disc against its neighbours in a step, in diameters; Courant number.
 WAY, COURANT = 1.0 / 7.0, 0.5
+#: Reynolds number of a triangle at most: beyond it, viscosity is added.
+ROUGH = 200.0
+#: Discs whose own flow is computed, where there are more; below so many points, in each step.
+SAMPLE, FINE = 16, 1000
 #: Iterations after which the factor is made anew, and at most.
 FEW, MOST = 8, 60
 #: What a checkpoint holds besides the mesh and the unknowns.
-NUMBERS = ("time", "dt", "iterations", "factors")
+NUMBERS = ("time", "dt", "stirring_since", "iterations", "factors")
 STATE = (
-    "velocity", "last", "force", "around", "curl", "drag", "extra", "D", "du", "Q",
+    "velocity", "last", "force", "around", "curl", "drag", "mobility", "extra", "D", "du", "Q",
 )  # fmt: skip
 TOPOLOGY = ("points", "triangles", "neighbours", "shifts")
 PARTS = ("mesh", "kernel", "matrix", "solve", "rest")
@@ -182,8 +192,8 @@ class Coupling:
         n = len(x)
         self.velocity, self.last = np.array(velocity), np.zeros((n, 2))
         self.force, self.around, self.curl = np.zeros((n, 2)), np.zeros((n, 2)), np.zeros(n)
-        self.drag = np.zeros(n)
-        self.time = self.dt = 0.0
+        self.drag, self.mobility = np.zeros(n), np.zeros(n)
+        self.time = self.dt = self.stirring_since = 0.0
         self.iterations = self.factors = 0
         self.seconds = dict.fromkeys(PARTS, 0.0)
         self._factor: Lagged | None = None
@@ -255,7 +265,7 @@ class Coupling:
 
     def back(self, arrays: Arrays, numbers: dict[str, Any]) -> None:
         """Take back a step that failed, to the state that these were of."""
-        for name in ("time", "dt"):
+        for name in ("time", "dt", "stirring_since"):
             setattr(self, name, numbers[name])
         for name in STATE:
             setattr(self, name, arrays[name])
@@ -378,16 +388,24 @@ class Coupling:
         ahead[~discs.free] = 0.0
         share = alpha * dt * free
         eps = k.porosity
+        op.u.vec.FV().NumPy()[:] += dt / self.dt * self.du if self.dt > 0.0 else 0.0
+        self._set_sides()
+        u, slope, _ = (k.mean(self._at_points(part)) for part in op.means())
         op.load(
             eps=eps[g.vertex],
             inertia=(c * fluid.density * eps / dt + k.field(b * c * alpha))[g.vertex],
             E=(eps + k.field(b * share * V))[g.vertex],
             S=k.field(V**2 * share)[g.vertex],
-            f=(k.field((b * alpha)[:, None] * ahead - known) + eps[:, None] * push)[g.vertex],
-            g=k.field((V * alpha)[:, None] * ahead)[g.vertex],
+            f=(
+                k.field((b * alpha)[:, None] * ahead - known - (b * share * V)[:, None] * slope)
+                + eps[:, None] * push
+            )[g.vertex],
+            g=k.field(
+                V[:, None]
+                * (alpha[:, None] * ahead + share[:, None] * (b[:, None] * u - V[:, None] * slope))
+            )[g.vertex],
         )
-        op.u.vec.FV().NumPy()[:] += dt / self.dt * self.du if self.dt > 0.0 else 0.0
-        self._set_sides()
+        op.stirred.vec.FV().NumPy()[:] = self._stirred()
         clock("rest")
         op.assemble()
         f = op.vector("source")
@@ -417,6 +435,17 @@ class Coupling:
         self._old = self.mesh.points.copy()
         clock("mesh")
 
+    def _stirred(self) -> Float:
+        """Viscosity that keeps the Reynolds number of each triangle below `ROUGH` [Pa s], (t,)."""
+        corner, n = self.mesh.triangles, len(self.velocity)
+        flow = self._points_of(self.operator.u)
+        flow[:n] -= self.velocity
+        edge = np.roll(self._corners(), -1, axis=1) - self._corners()
+        h = np.sqrt((edge**2).sum(axis=2)).max(axis=1)
+        speed = np.sqrt((flow**2).sum(axis=1))[corner].max(axis=1)
+        wanted: Float = self.fluid.density * speed * h / ROUGH - self.fluid.viscosity
+        return np.maximum(wanted, 0.0)
+
     def _drag(self) -> Float:
         """b of the law, for the undisturbed velocity if it is made for that."""
         fluid, discs = self.fluid, self.discs
@@ -431,7 +460,37 @@ class Coupling:
             gap=self._gap() if fluid.drag.variable == "gap" else np.nan,
             width=np.inf if self.box.periodic else float(across),
         )
-        return fluid.drag.coefficient(bed)
+        b = fluid.drag.coefficient(bed)
+        if not fluid.drag.undisturbed:
+            return b
+        old = self._factor is None or self.time > 1.2 * self.stirring_since
+        if len(self.mesh.points) < FINE or old:
+            self.mobility, self.stirring_since = self._mobility(), self.time
+        share = b * self.mobility
+        if share.max() > 0.8:
+            raise RunError(
+                f"particle {int(np.argmax(share))} stirs the fluid about it so much that its own "
+                f"flow cannot be taken out ({share.max():.2g} of its velocity): raise "
+                "Fluid(reach=...), or take a drag law of beds"
+            )
+        return b / (1.0 - share)  # Eq. (6)
+
+    def _mobility(self) -> Float:
+        """G of each disc, Eq. (6); of many, that of some, and for the others their median."""
+        n, g, k = len(self.velocity), self.gravity, self.kernel
+        some = np.unique(np.linspace(0, n - 1, min(n, SAMPLE)).astype(int))
+        one = np.zeros((len(some), n))
+        one[np.arange(len(some)), some] = 1.0
+        along = g / np.hypot(*g) if g.any() else np.array([1.0, 0.0])
+        psi = np.stack([k.field(row) for row in one])[:, self.grid.vertex]
+        self._load_porosity()
+        # From rest it takes until then; all forces are taken to act since the start.
+        lasts = self.fluid.density * float(self.box.size.min()) ** 2 / self.fluid.viscosity
+        lasts = min(lasts, self.time)
+        found = self.operator.mobility(psi[..., None] * along, lasts)
+        G = np.full(n, np.median(found))
+        G[some] = found
+        return G
 
     def _gap(self) -> float:
         """Mean of the smallest gap of each triangle of discs, over the mean diameter."""
@@ -534,6 +593,14 @@ class Coupling:
         """Finite elements on the present triangulation."""
         mesh, fluid = self.mesh, self.fluid
         arrays = mesh.points, mesh.triangles, mesh.shifts
+        if self.box.periodic:
+            pairs = np.sort(mesh.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+            pairs = np.unique(pairs, axis=0)
+            if (pairs[:, 0] == pairs[:, 1]).any() or 2 * len(pairs) != 3 * len(mesh.triangles):
+                raise InputError(
+                    "the periodic box holds too few particles for a mesh: repeat it, so that no "
+                    "particle is joined to itself, or to another twice"
+                )
         self.grid = flow_mesh(self.box, *arrays, mesh.neighbours)
         self._built, self._old = mesh.points.copy(), mesh.points.copy()
         self.operator = Operator(
@@ -547,11 +614,6 @@ class Coupling:
         about = self.box, self._old, mesh.triangles.copy(), mesh.shifts.copy(), self.grid
         self.keys = Keys(*about, fluid.order, fluid.order == 1)
         self.pressure_keys = Keys(*about, max(fluid.order - 1, 1))
-        if len(self.operator.u.vec) != 2 * len(self.keys.of_mesh):
-            raise InputError(
-                "the periodic box holds too few particles for a mesh: repeat it, so that no "
-                "particle is joined to another twice"
-            )
 
     def _remesh(self) -> None:
         """Carry all fields to the triangulation that `mesh` has become."""
@@ -644,7 +706,7 @@ class Coupling:
         if self.box.periodic:
             return
         op, keys, fluid = self.operator, self.keys, self.fluid
-        given = np.zeros((keys.size, 2))
+        given, through = np.zeros((keys.size, 2)), np.zeros((keys.size, 2))
         t, k = np.nonzero(self.mesh.neighbours < 0)
         corner = self.mesh.triangles
         ends = np.stack([corner[t, (k + 1) % 3], corner[t, (k + 2) % 3]], axis=1).astype(np.int64)
@@ -666,23 +728,28 @@ class Coupling:
                 continue
             if isinstance(kind, Slip):
                 continue
-            value = np.zeros((on.sum(), fluid.order + 1, 2))
+            value, volume = (np.zeros((on.sum(), fluid.order + 1, 2)) for _ in range(2))
             if isinstance(kind, NoSlip):
                 value[..., 1 - axis] = kind.speed
-            elif callable(kind.velocity):
-                found = np.asarray(kind.velocity(place[on].reshape(-1, 2), self.time), dtype=float)
-                value[:] = found.reshape(value.shape) / eps[on][..., None]
             else:
-                value[:] = np.array(kind.velocity) / eps[on][..., None]
+                wanted: Any = kind.velocity
+                if callable(wanted):
+                    wanted = np.asarray(wanted(place[on].reshape(-1, 2), self.time), dtype=float)
+                    wanted = wanted.reshape(value.shape)
+                volume[:] = wanted
+                value = volume / eps[on][..., None]
             if not np.isfinite(value).all():
                 raise InputError(f"fluid: the velocity of the {SIDES[side]} side is not finite")
             edge = np.searchsorted(keys.edges, keys._edge(ends[on]))
             none = np.empty((len(edge), 0), np.int64)
-            given[keys.unknowns(ends[on], edge[:, None], none)] = along_edge(fluid.order, value)
+            where = keys.unknowns(ends[on], edge[:, None], none)
+            given[where] = along_edge(fluid.order, value)
+            through[where] = along_edge(fluid.order, volume)
         held = ~op.free
         split = op.V.ndof
         u, pressure = op.u.vec.FV().NumPy(), op.p.vec.FV().NumPy()
         u[held[:split]] = given[keys.of_mesh].T.ravel()[held[:split]]
+        op.given.vec.FV().NumPy()[:] = through[keys.of_mesh].T.ravel()
         level = np.zeros(self.pressure_keys.size)
         level[: len(p)] = p
         pressure[held[split:]] = level[self.pressure_keys.of_mesh][held[split:]]

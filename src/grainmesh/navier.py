@@ -19,6 +19,13 @@ c = 1 is implicit Euler; c = (1 + 2 ω)/(1 + ω), with (c - 1) D times ω for ω
 Equation (4) leaves a residual r' of the linear solver. Q' = ∫ρ ε' u'·v + Δt r'/c counts it in the
 next step, so momentum is conserved to round-off at any tolerance.
 
+Particles (`grainmesh.coupling`) act by averages over their kernels, E and S point by point: to keep
+the matrix sparse. What is too much is taken from the fields x' of the last step, or those foretold,
+
+    E, S: K x' = ... + (K - K_mean) x,                                                         (5)
+
+so it vanishes in steady flow, and is of the order of the change in a step otherwise.
+
 The elements are Taylor-Hood P_k/P_{k-1}, MINI for k = 1. The matrix of (1) and (2) is symmetric,
 an L D Lᵀ of it serves as preconditioner until too much has changed.
 """
@@ -30,6 +37,7 @@ from typing import Any
 import numpy as np
 from ngsolve import (
     H1,
+    L2,
     BilinearForm,
     Grad,
     GridFunction,
@@ -48,7 +56,7 @@ from numpy.typing import NDArray
 
 from grainmesh.lagged import Lagged, csr
 from grainmesh.mesh import spaces
-from grainmesh.saddle import threads
+from grainmesh.saddle import SaddleFactor, threads
 
 Float = NDArray[np.float64]
 
@@ -69,8 +77,12 @@ class Operator:
     ----------
     u, p : ngsolve.GridFunction
         Velocity [m/s] and pressure [Pa].
-    eps : ngsolve.GridFunction
-        Porosity, linear.
+    eps, inertia, E, S, f, g : ngsolve.GridFunction
+        Linear fields: porosity, c ρ ε/Δt + B, and those of Eqs. (1), (2).
+    stirred : ngsolve.GridFunction
+        Viscosity besides mu, constant on triangles [Pa s].
+    given : ngsolve.GridFunction
+        Superficial velocity ε u at the boundary [m/s].
     free : ndarray, shape (N,)
         Unknowns of velocity, then of pressure, that are solved for.
     """
@@ -91,6 +103,7 @@ class Operator:
         self.u, self.p = GridFunction(self.V), GridFunction(self.Q)
         self.foretold, self.w = GridFunction(self.V), GridFunction(self.W)
         self.eps, self.inertia, self.E, self.S = (GridFunction(self.P1) for _ in range(4))
+        self.stirred, self.given = GridFunction(L2(mesh, order=0)), GridFunction(self.V)
         self.f, self.g = GridFunction(self.W), GridFunction(self.W)
         self.free = np.concatenate([np.asarray(X.FreeDofs()) for X in (self.V, self.Q)])
         self._forms(pressure, no_slip)
@@ -117,12 +130,17 @@ class Operator:
                 -rho * eps * IfPos(out, out, 0.0) * InnerProduct(e, v)
                 * ds("|".join(pressure), bonus_intorder=2 * degree)
             )  # fmt: skip
-        flux = eps * (self.u * specialcf.normal(2)) * q
         self._inflow = LinearForm(self.Q)
         if no_slip:
-            self._inflow += flux * ds("|".join(no_slip), bonus_intorder=1)
+            self._inflow += (self.given * specialcf.normal(2)) * q * ds("|".join(no_slip))
         (v, q), Du = (self.V * self.Q).TestFunction(), Grad(self.u)
-        self._source = LinearForm((InnerProduct(self.f, v) - InnerProduct(self.g, grad(q))) * once)
+        # Eq. (5): E and S act on averages over kernels, which f and g hold for the fields at hand.
+        spare = self.E - eps
+        f = self.f + spare * grad(self.p)
+        g = self.g - spare * self.u + self.S * grad(self.p)
+        self._source = LinearForm(
+            (InnerProduct(f, v) - InnerProduct(g, grad(q))) * dx(bonus_intorder=degree)
+        )
         z, y, c = (self.W * self.W * self.P1).TestFunction()
         self._means = LinearForm(
             (InnerProduct(self.u, z) + InnerProduct(grad(self.p), y) + (Du[1, 0] - Du[0, 1]) * c)
@@ -142,8 +160,8 @@ class Operator:
         u, slope, curl = np.split(self.vector("means"), [2 * v, 4 * v])
         return u.reshape(2, v).T, slope.reshape(2, v).T, curl
 
-    def factor(self, names: NDArray[np.int64]) -> Lagged:
-        """A factor of the matrix of both equations, for unknowns of these names."""
+    def whole(self) -> tuple[Any, Any]:
+        """The matrix of both equations, and which of its unknowns are free."""
         X = self.V * self.Q
         (u, p), (v, q) = X.TnT()
         form = (
@@ -152,12 +170,44 @@ class Operator:
             - self.S * InnerProduct(grad(p), grad(q))
         )
         with threads(self.mesh):
-            whole = BilinearForm(form * dx(bonus_intorder=1)).Assemble()
-            return Lagged(whole.mat, self.V.ndof, X.FreeDofs(), names)
+            return BilinearForm(form * dx(bonus_intorder=1)).Assemble().mat, X.FreeDofs()
+
+    def factor(self, names: NDArray[np.int64]) -> Lagged:
+        """A factor of the matrix of both equations, for unknowns of these names."""
+        matrix, free = self.whole()
+        with threads(self.mesh):
+            return Lagged(matrix, self.V.ndof, free, names)
+
+    def mobility(self, forces: Float, lasts: float) -> Float:
+        """Mean velocities of slow flow by forces, under themselves [m/s].
+
+        Parameters
+        ----------
+        forces : (k, v, 2)
+            Densities, linear, whose integral is of size 1 [1/m2].
+        lasts : float
+            Time for which the force has acted [s].
+
+        Returns
+        -------
+        (k,)
+            ∫f·u for each.
+        """
+        eps, S = self.eps.vec.FV().NumPy(), self.S.vec.FV().NumPy()
+        self.load(inertia=self.density * eps / lasts, E=eps, S=0.0 * S, g=np.zeros((len(eps), 2)))
+        matrix, free = self.whole()
+        solver, x = SaddleFactor(matrix, self.V.ndof, free), matrix.CreateColVector()
+        f, found = x.CreateVector(), []
+        for force in forces:
+            self.load(f=force)
+            f.FV().NumPy()[:] = self.vector("source")
+            solver.solve(f, x)
+            found.append(float(f.FV().NumPy() @ x.FV().NumPy()))
+        return np.array(found)
 
     def _viscous(self, u: Any, v: Any) -> Any:
         """Eq. (3), with c ρ ε/Δt + B in `inertia`."""
-        mu, eps = self.viscosity, self.eps
+        mu, eps = self.viscosity + self.stirred, self.eps
         return (
             self.inertia * InnerProduct(u, v)
             + 2.0 * mu * eps * InnerProduct(Sym(Grad(u)), Sym(Grad(v)))
