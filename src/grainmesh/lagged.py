@@ -15,11 +15,10 @@ with R the restriction to their unknowns. Without it each flip costs iterations 
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
-from ngsolve import GetNumThreads, SetNumThreads, TaskManager
+from ngsolve import GetNumThreads, SetNumThreads
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.sparse import block_array, csr_array, diags_array
@@ -31,7 +30,7 @@ Float = NDArray[np.float64]
 Int = NDArray[np.int64]
 Apply = Callable[[Float], Float]
 
-#: More unknowns than this are worth a second thread; below, equal input gives equal bits.
+#: Factors of more unknowns are made by all threads; of fewer, equal input gives equal bits.
 MANY = 40_000
 
 
@@ -75,14 +74,12 @@ class Lagged:
         known = np.flatnonzero(self._names[place] == names)
         place = self._place[place[known]]
         f, x = self._f.FV().NumPy(), self._x.FV().NumPy()
-        many = len(f) > MANY
 
         def apply(r: Float) -> Float:
             z = np.zeros_like(r)
             f[:] = 0.0
             f[place] = r[known]
-            with TaskManager() if many else nullcontext():
-                self._x.data = self._inverse * self._f
+            self._x.data = self._inverse * self._f  # one thread: to wake others takes longer
             z[known] = x[place]
             return z
 
