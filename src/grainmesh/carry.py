@@ -145,7 +145,7 @@ class Keys:
         Those of a periodic box have their middle inside.
         """
         order = np.argsort(self.triangles[which], axis=1, kind="stable")
-        x = self.points[self.triangles[which]] + self.shifts[which] * self.box.size
+        x: Float = self.points[self.triangles[which]] + self.shifts[which] * self.box.size
         x = np.take_along_axis(x, order[..., None], axis=1)
         if self.box.periodic:
             x = x - (np.floor(x.mean(axis=1) / self.box.size) * self.box.size)[:, None]
@@ -217,7 +217,7 @@ def along_edge(order: int, values: Float) -> Float:
     nodes, to_values, _ = _element(order, False)
     on = np.flatnonzero(nodes[:, 2] == 0.0)
     on = on[np.argsort(nodes[on, 1])]
-    matrix = to_values[np.ix_(on, [0, 1, *range(3, 2 + order)])]
+    matrix = to_values[np.ix_(on, np.r_[0, 1, 3 : 2 + order])]
     found: Float = np.einsum("kl,elc->ekc", np.linalg.inv(matrix), values)
     return found
 
@@ -246,7 +246,8 @@ def _evaluate(keys: Keys, which: Int, values: Float, place: Float) -> Float:
     _, to_values, of_values = _element(keys.order, keys.bubble)
     node = np.einsum("lk,tkc->tlc", to_values, values[keys.local(which)])
     shape = _monomials(weight[row, best], keys.order, keys.bubble) @ of_values
-    return np.einsum("ql,qlc->qc", shape, node[t[row, best]])
+    found: Float = np.einsum("ql,qlc->qc", shape, node[t[row, best]])
+    return found
 
 
 @lru_cache
@@ -273,7 +274,8 @@ def _element(order: int, bubble: bool) -> tuple[Float, Float, Float]:
         field.vec[:] = 0.0
         field.vec[unknown] = 1.0
         columns.append([field(mesh(*x)) for x in inside[:, 1:].tolist()])
-    return nodes, np.array(columns).T, np.linalg.inv(_monomials(nodes, order, bubble))
+    values: Float = np.array(columns).T
+    return nodes, values, np.asarray(np.linalg.inv(_monomials(nodes, order, bubble)))
 
 
 def _monomials(weight: Float, order: int, bubble: bool) -> Float:
