@@ -240,7 +240,7 @@ class Flow:
     def _loads(self, steady: bool) -> Float:
         """Right-hand sides besides inertia, (N,); sets what is given at the sides."""
         op, exact = self.op, self.exact
-        for mine, given in ((op.u, exact.u), (op.p, exact.p)):
+        for mine, given in ((op.u, exact.u), (op.p, exact.p), (op.given, exact.eps * exact.u)):
             side = GridFunction(mine.space)
             side.Set(given, definedon=op.mesh.Boundaries(".*"))
             held = ~np.asarray(mine.space.FreeDofs())
@@ -367,6 +367,7 @@ def cylinder(order: int, fine: float) -> tuple[float, float, int]:
     op.u.Set(CF((1.2 * y * (0.41 - y) / 0.41**2, 0.0)), definedon=mesh.Boundaries("left"))
     op.assemble()
     loads, split = np.zeros(len(op.free)), op.V.ndof
+    op.given.vec.data = op.u.vec
     loads[split:] = op.vector("inflow")
     settle(op, loads)
     # What is left of momentum against a test function that is 1 on the cylinder: ∮τ·n. And ∮p n

@@ -110,24 +110,11 @@ def test_solid_volume_is_that_of_the_discs():
 
 
 def flux(flow):
-    """What ∫(ε u + sum V ψ w_i)·∇q leaves over all q, and what it is of the discs alone.
-
-    w_i is the velocity of disc i in the flow that is at each place of its kernel, Eq. (3), whose
-    mean <w_i>_i is u_i.
-    """
-    op, V, c = flow.operator, flow.discs.volume, 1.0
-    share = flow.dt / (flow.discs.mass * c + flow.drag * flow.dt)  # α Δt/m
-    around, slope = (flow.kernel.mean(points(flow, part)) for part in (op.u, grad(op.p)))
-    there = flow.velocity - (share * flow.drag)[:, None] * around + (share * V)[:, None] * slope
-
-    def field(space, values):
-        found = GridFunction(space)
-        found.vec.FV().NumPy()[:] = flow.kernel.field(values)[flow.grid.vertex].T.ravel()
-        return found
-
-    solid = field(op.W, V[:, None] * there)
-    solid += field(op.P1, V * share * flow.drag) * op.u
-    solid -= field(op.P1, V**2 * share) * grad(op.p)
+    """What ∫(ε u + sum V ψ u_i)·∇q leaves over all q, and what it is of the discs alone."""
+    op = flow.operator
+    solid = GridFunction(op.W)
+    values = flow.kernel.field(flow.discs.volume[:, None] * flow.velocity)
+    solid.vec.FV().NumPy()[:] = values[flow.grid.vertex].T.ravel()
     slope, free = grad(op.Q.TestFunction()), op.free[op.V.ndof :]
 
     def against(field):
@@ -137,27 +124,24 @@ def flux(flow):
     return against(op.eps * op.u + solid), against(solid)
 
 
-def points(flow, field):
-    """Integrals of a field times the hats of the points, (m, 2)."""
-    form = LinearForm(field * flow.operator.W.TestFunction() * dx(bonus_intorder=4)).Assemble()
-    found = form.vec.FV().NumPy().reshape(2, -1)
-    size = len(flow.mesh.points)
-    return np.stack([np.bincount(flow.grid.vertex, part, size) for part in found], axis=1)
+def leaks(make, dt, order):
+    """The share of the discs' volume flux that is left, in steps without flips."""
+    run, found = make(order=order, tolerance=1e-9, dt=dt), []
+    while run.t < 0.01:
+        mesh = run.flow.operator
+        step(run)
+        if run.flow.operator is mesh and run.t > 0.004:  # else u is on another mesh by now
+            left, of_discs = flux(run.flow)
+            found.append(left / of_discs)
+    return np.median(found)
 
 
-@pytest.mark.parametrize("order", [1, 2, 3])
-def test_volume_of_the_mixture(order):
-    """∇·(ε u + sum V ψ u_i) = 0 against all pressures, to the tolerance of the solver."""
-    for run in (soup(order=order, tolerance=1e-9), closed(order=order, tolerance=1e-9)):
-        seen = 0
-        for _ in range(20):
-            mesh = run.flow.operator
-            step(run)
-            if run.flow.operator is mesh:  # else the velocity is on another mesh by now
-                left, of_discs = flux(run.flow)
-                assert left < 1e-6 * of_discs
-                seen += 1
-        assert seen > 3
+@pytest.mark.parametrize("make", [soup, closed])
+def test_volume_of_the_mixture(make):
+    """∇·(ε u + sum V ψ u_i) = 0 against all pressures, but for the change in a step."""
+    coarse, fine = (leaks(make, dt, 2) for dt in (5e-4, 1.25e-4))
+    assert coarse < 0.1
+    assert fine < 0.3 * coarse
 
 
 # Rest ---------------------------------------------------------------------------------------------

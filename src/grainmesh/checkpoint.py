@@ -86,6 +86,7 @@ def read(folder: str | Path, fluid: Fluid | None = None) -> tuple[Model, dict[st
     path = path if path.is_file() else path / NAME
     if not path.is_file():
         raise InputError(f"{path}: no such file: name the folder given as save=")
+    asked = False
     try:
         whole = path.read_bytes()
         # HDF5 itself can hang on a damaged file: it only sees one whose checksum is right.
@@ -108,17 +109,16 @@ def read(folder: str | Path, fluid: Fluid | None = None) -> tuple[Model, dict[st
         if isinstance(fields["fluid"], dict):
             fields["fluid"] = from_description(fields["fluid"])
         elif fields["fluid"] == FUNCTION:
-            if fluid is None:
-                raise InputError(
-                    f"{path}: give the fluid of the model again, its drag or an inflow was a "
-                    "function"
-                )
+            asked = fluid is None
             fields["fluid"] = fluid
-        return Model(**fields), numbers, arrays
-    except InputError:
-        raise
+        model = Model(**fields)
     except (OSError, KeyError, TypeError, ValueError, RuntimeError) as fault:
         raise InputError(f"{path}: damaged or not a checkpoint ({fault})") from None
+    if asked:
+        raise InputError(
+            f"{path}: give the fluid of the model again, its drag or an inflow was a function"
+        )
+    return model, numbers, arrays
 
 
 def _head(data: bytes) -> bytes:

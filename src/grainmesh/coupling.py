@@ -180,11 +180,14 @@ class Coupling(Fields):
         op.u.vec.FV().NumPy()[:] += dt / self.dt * self.du if self.dt > 0.0 else 0.0
         self._set_sides()
         u, slope, _ = (k.mean(self._at_points(part)) for part in op.means())
+        dE, dS = k.field(b * share * V)[g.vertex], k.field(V**2 * share)[g.vertex]
         op.load(
             eps=eps[g.vertex],
             inertia=(c * fluid.density * eps / dt + k.field(b * c * alpha))[g.vertex],
-            E=(eps + k.field(b * share * V))[g.vertex],
-            S=k.field(V**2 * share)[g.vertex],
+            E=eps[g.vertex] + dE,
+            S=dS,
+            dE=dE,
+            dS=dS,
             f=(
                 k.field((b * alpha)[:, None] * ahead - known - (b * share * V)[:, None] * slope)
                 + eps[:, None] * push

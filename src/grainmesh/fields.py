@@ -214,7 +214,9 @@ class Fields:
             now, self.mesh = self.mesh, replace(self.mesh, **topology)
             self._build()
             self.operator.mesh.ngmesh.Coordinates()[:, :2] = recipe["places"]
-            self.operator.load(**{name: recipe[name] for name in ("eps", "inertia", "E", "S")})
+            self.operator.load(
+                **{name: recipe[name] for name in ("eps", "inertia", "E", "S", "stirred")}
+            )
             self.operator.assemble()
             self._make_factor()
             self.factors -= 1
@@ -295,7 +297,7 @@ class Fields:
         self._factor = op.factor(self._names())
         self._factor_faces = self.keys.faces
         self.factors += 1
-        fields = {name: getattr(op, name) for name in ("eps", "inertia", "E", "S")}
+        fields = {name: getattr(op, name) for name in ("eps", "inertia", "E", "S", "stirred")}
         self._recipe = {key: np.array(getattr(mesh, key)) for key in TOPOLOGY}
         self._recipe |= {key: np.array(f.vec.FV().NumPy()) for key, f in fields.items()}
         self._recipe["points"] = self._built.copy()

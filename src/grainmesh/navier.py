@@ -79,6 +79,8 @@ class Operator:
         Velocity [m/s] and pressure [Pa].
     eps, inertia, E, S, f, g : ngsolve.GridFunction
         Linear fields: porosity, c ρ ε/Δt + B, and those of Eqs. (1), (2).
+    dE, dS : ngsolve.GridFunction
+        The parts of E and S that act by averages, Eq. (5), linear.
     stirred : ngsolve.GridFunction
         Viscosity besides mu, constant on triangles [Pa s].
     given : ngsolve.GridFunction
@@ -103,6 +105,7 @@ class Operator:
         self.u, self.p = GridFunction(self.V), GridFunction(self.Q)
         self.foretold, self.w = GridFunction(self.V), GridFunction(self.W)
         self.eps, self.inertia, self.E, self.S = (GridFunction(self.P1) for _ in range(4))
+        self.dE, self.dS = GridFunction(self.P1), GridFunction(self.P1)
         self.stirred, self.given = GridFunction(L2(mesh, order=0)), GridFunction(self.V)
         self.f, self.g = GridFunction(self.W), GridFunction(self.W)
         self.free = np.concatenate([np.asarray(X.FreeDofs()) for X in (self.V, self.Q)])
@@ -135,9 +138,8 @@ class Operator:
             self._inflow += (self.given * specialcf.normal(2)) * q * ds("|".join(no_slip))
         (v, q), Du = (self.V * self.Q).TestFunction(), Grad(self.u)
         # Eq. (5): E and S act on averages over kernels, which f and g hold for the fields at hand.
-        spare = self.E - eps
-        f = self.f + spare * grad(self.p)
-        g = self.g - spare * self.u + self.S * grad(self.p)
+        f = self.f + self.dE * grad(self.p)
+        g = self.g - self.dE * self.u + self.dS * grad(self.p)
         self._source = LinearForm(
             (InnerProduct(f, v) - InnerProduct(g, grad(q))) * dx(bonus_intorder=degree)
         )

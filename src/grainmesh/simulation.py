@@ -392,7 +392,7 @@ class Simulation:
             Time to reach [s]; the last step may pass it by less than a step. Nothing is done if it
             is past.
         every : float, optional
-            Interval [s], rounded to whole steps, at which `measure` is added to `history`,
+            Interval [s] at which `measure` is added to `history`,
             `observe` is called and, if `save` is given, the state is written; else only at the end.
         save : path, optional
             Folder for ``checkpoint.h5``, from which `resume` goes on.
@@ -420,12 +420,13 @@ class Simulation:
         last = ceil(until / self.dt - 1e-6)
         if save and self.step < last:  # a folder that cannot be written is not found out too late
             self.save(save)
-        mark = max(1, round(every / self.dt)) if every else max(last, 1)
+        mark = self._mark(every, last)
         with bar(progress, self.step, last, self.dt) as tell:
             try:
                 while self.step < last:
-                    self._advance(min(last, (self.step // mark + 1) * mark) - self.step, tell)
-                    if self.step % mark == 0 or self.step == last:
+                    self._advance(mark - self.step, tell)
+                    if self.step == mark:
+                        mark = self._mark(every, last)
                         self.history.append(self.measure())
                         if observe:
                             observe(self)
@@ -436,6 +437,15 @@ class Simulation:
                     self.save(save)
                 raise
         return self
+
+    def _mark(self, every: float | None, last: int) -> int:
+        """The step at which to look next: at a multiple of `every`, or the last."""
+        if every is None:
+            return last
+        number = int(self.step * self.dt / every)
+        while (mark := ceil(number * every / self.dt - 1e-6)) <= self.step:
+            number += 1
+        return min(mark, last)
 
     def save(self, folder: str | Path) -> Path:
         """Write the state to ``checkpoint.h5`` in a folder, see `checkpoint.write`."""
