@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
+from ngsolve import BND, InnerProduct, Integrate
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
@@ -33,6 +34,7 @@ NUMBERS = ("time", "dt", "stirring_since", "iterations", "factors")
 STATE = (
     "velocity", "last", "force", "around", "curl", "drag", "mobility", "extra", "D", "du", "Q",
 )  # fmt: skip
+MATRIX = ("eps", "inertia", "E", "S", "stirred")
 TOPOLOGY = ("points", "triangles", "neighbours", "shifts")
 PARTS = ("mesh", "kernel", "matrix", "solve", "rest")
 
@@ -214,9 +216,7 @@ class Fields:
             now, self.mesh = self.mesh, replace(self.mesh, **topology)
             self._build()
             self.operator.mesh.ngmesh.Coordinates()[:, :2] = recipe["places"]
-            self.operator.load(
-                **{name: recipe[name] for name in ("eps", "inertia", "E", "S", "stirred")}
-            )
+            self.operator.load(**{name: recipe[name] for name in MATRIX})
             self.operator.assemble()
             self._make_factor()
             self.factors -= 1
@@ -230,6 +230,41 @@ class Fields:
         self._load_porosity()
         self.operator.x = arrays["x"]
         return self
+
+    def measure(self) -> dict[str, float]:
+        """Numbers of the present flow.
+
+        fluid kinetic [J/m], slip (mean speed of fluid against discs [m/s]), flow step [s],
+        iterations; of a box with walls, the mean dynamic pressure at each side [Pa].
+        """
+        op, u = self.operator, self.operator.u
+        energy = 0.5 * op.density * op.eps * InnerProduct(u, u)
+        found = {
+            "fluid kinetic": float(Integrate(energy, op.mesh, order=2 * op.order + 1)),
+            "slip": float(np.hypot(*(self.around - self.velocity).T).mean()),
+            "flow step": self.dt,
+            "iterations": self.iterations,
+        }
+        for number, side in enumerate(() if self.box.periodic else SIDES):
+            on = op.mesh.Boundaries(side)
+            total = Integrate(op.p, op.mesh, BND, definedon=on, order=op.order)
+            found[f"pressure {side}"] = float(total) / float(self.box.size[1 - number // 2])
+        return found
+
+    def change(self, fluid: Fluid, gravity: tuple[float, float]) -> None:
+        """Go on with another fluid, or other sides, on the same mesh.
+
+        Raises
+        ------
+        InputError
+            If order, spacing or reach differ.
+        """
+        for name in ("order", "spacing", "reach"):
+            if getattr(fluid, name) != getattr(self.fluid, name):
+                raise InputError(f"change: {name} of the fluid must stay as it is")
+        self.fluid, self.gravity = fluid, np.array(gravity)
+        self._factor, self._recipe = None, {}
+        self._remesh()
 
     def back(self, arrays: Arrays, numbers: dict[str, Any]) -> None:
         """Take back a step that failed, to the state that these were of."""
@@ -297,7 +332,7 @@ class Fields:
         self._factor = op.factor(self._names())
         self._factor_faces = self.keys.faces
         self.factors += 1
-        fields = {name: getattr(op, name) for name in ("eps", "inertia", "E", "S", "stirred")}
+        fields = {name: getattr(op, name) for name in MATRIX}
         self._recipe = {key: np.array(getattr(mesh, key)) for key in TOPOLOGY}
         self._recipe |= {key: np.array(f.vec.FV().NumPy()) for key, f in fields.items()}
         self._recipe["points"] = self._built.copy()

@@ -293,7 +293,7 @@ class Simulation:
 
         t [s], step, particles, the `energies` [J/m], contacts (of discs with discs), overlap (the
         deepest, in smallest radii), height (of the highest disc, [m]), flips (of edges, so far);
-        with a ledger, its entries and their total.
+        with a ledger, its entries and their total; with a fluid, `Fields.measure`.
         """
         top = self._s[:, Y] + self._s[:, R]
         held, books = self.energies, self.ledger
@@ -312,6 +312,7 @@ class Simulation:
             "height": float(top.max()),
             "flips": self._mesh.flips,
             **books,
+            **(self.flow.measure() if self.flow is not None else {}),
         }
 
     def change(self, model: Model) -> Simulation:
@@ -339,6 +340,10 @@ class Simulation:
             model.box.periodic and model.box != self.model.box
         ):
             raise InputError("change: a periodic box must stay as it is, and others not become one")
+        if (model.fluid is None) != (self.flow is None) or (
+            model.fluid is not None and model.box != self.model.box
+        ):
+            raise InputError("change: a box with fluid must stay as it is, and others without")
         law = replace(model, dt=self.dt)
         step_of(law, self.particles, self.fixed)
         new, old = model.all_walls, self.model.all_walls
@@ -374,6 +379,8 @@ class Simulation:
                 self._seen,
             ) = before  # fmt: skip
             raise
+        if self.flow is not None and model.fluid is not None:
+            self.flow.change(model.fluid, model.gravity)
         return self
 
     def run(
