@@ -124,7 +124,7 @@ def test_bad_option(case, run, discs):
         ["magic"],
         ["--magic"],
         ["paper", "fig1"],
-        ["paper", "fig3", "--out", "somewhere"],
+        ["paper", "fig9", "--out", "somewhere"],
     ],
     ids=" ".join,
 )

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from ngsolve import GridFunction, Integrate, LinearForm, dx, grad
+from ngsolve import BND, GridFunction, Integrate, LinearForm, dx, grad
 
 import grainmesh as gm
 from grainmesh.closures import HexagonalLattice, SquareLattice
@@ -509,3 +509,57 @@ def test_discs_that_leave_no_room():
     grains = gm.Particles(np.array(x) + 0.5 * D, D)
     with pytest.raises(gm.RunError, match="leave a porosity of"):
         gm.Simulation(model, grains, fixed=np.arange(36))
+
+
+# One disc alone -----------------------------------------------------------------------------------
+
+
+class Disturbed(gm.drag.Channel):
+    """The law of a cylinder between walls, taken for the velocity at the disc itself."""
+
+    undisturbed = False
+
+
+def falling(law, order, spacing):
+    """Speed of the disc of Fig. 3 after 0.8 s, 0.17 m/s by its law."""
+    sides = {"left": gm.Slip(), "right": gm.Slip()}
+    fluid = gm.Fluid(1000.0, 75.2, law, sides, order=order, dt=0.01, spacing=spacing)
+    model = gm.Model(gm.Box(2.0, 2.0), gm.Contact(stiffness=1e5), fluid=fluid)
+    run = gm.Simulation(model, gm.Particles(np.array([[1.0, 1.2]]), 0.1, 2000.0)).run(until=0.8)
+    return -run.flow.velocity[0, 1]
+
+
+@pytest.mark.parametrize(
+    ("order", "spacing"), [(1, None), (2, None), (4, None), (2, 0.25), (2, 0.12)]
+)
+def test_speed_of_one_disc_depends_neither_on_order_nor_on_mesh(order, spacing):
+    assert falling(gm.drag.Channel(), order, spacing) == pytest.approx(0.17, rel=0.02)
+
+
+def test_a_disc_that_feels_its_own_flow_falls_too_fast_the_more_so_the_finer_the_mesh():
+    coarse, fine = (falling(Disturbed(), 2, spacing) for spacing in (None, 0.12))
+    assert 0.17 * 1.005 < coarse < fine
+
+
+# Other sides, numbers -----------------------------------------------------------------------------
+
+
+def test_a_run_goes_on_with_other_sides():
+    run = closed(n=30, size=(0.008, 0.012))
+    step(run, 4)
+    solid = run.flow.velocity.copy()
+    sides = {"bottom": gm.Inflow((0.0, 0.004)), "top": gm.Outlet(5.0)}
+    run.change(replace(run.model, fluid=replace(run.model.fluid, sides=sides)))
+    assert np.array_equal(run.flow.velocity, solid)
+    step(run, 40)
+    found = run.measure()
+    assert found["pressure top"] == pytest.approx(5.0, rel=1e-9)
+    assert found["pressure bottom"] > 5.0
+    # What comes in goes out.
+    op = run.flow.operator
+    out = Integrate(op.eps * op.u[1], op.mesh, BND, definedon=op.mesh.Boundaries("top"))
+    assert out == pytest.approx(0.004 * 0.008, rel=0.1)
+    with pytest.raises(gm.InputError, match="order"):
+        run.change(replace(run.model, fluid=replace(run.model.fluid, order=3)))
+    with pytest.raises(gm.InputError, match="box with fluid"):
+        run.change(replace(run.model, fluid=None))

@@ -195,8 +195,10 @@ class Operator:
         (k,)
             ∫f·u for each.
         """
-        eps, S = self.eps.vec.FV().NumPy(), self.S.vec.FV().NumPy()
-        self.load(inertia=self.density * eps / lasts, E=eps, S=0.0 * S, g=np.zeros((len(eps), 2)))
+        eps = self.eps.vec.FV().NumPy().copy()
+        none = np.zeros_like(eps)
+        self.load(inertia=self.density * eps / lasts, E=eps, S=none, dE=none, dS=none)
+        self.load(g=np.zeros((len(eps), 2)))
         matrix, free = self.whole()
         solver, x = SaddleFactor(matrix, self.V.ndof, free), matrix.CreateColVector()
         f, found = x.CreateVector(), []
