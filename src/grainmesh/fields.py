@@ -519,7 +519,8 @@ class Fields:
             none = np.empty((len(edge), 0), np.int64)
             where = keys.unknowns(ends[on], edge[:, None], none)
             given[where] = along_edge(fluid.order, value)
-            through[where] = along_edge(fluid.order, volume)
+            if isinstance(kind, Inflow):  # all of it, though walls hold the fluid at corners
+                through[where] = along_edge(fluid.order, volume)
         held = ~op.free
         split = op.V.ndof
         u, pressure = op.u.vec.FV().NumPy(), op.p.vec.FV().NumPy()
