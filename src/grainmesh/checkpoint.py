@@ -114,6 +114,8 @@ def read(folder: str | Path, fluid: Fluid | None = None) -> tuple[Model, dict[st
         model = Model(**fields)
     except (OSError, KeyError, TypeError, ValueError, RuntimeError) as fault:
         raise InputError(f"{path}: damaged or not a checkpoint ({fault})") from None
+    if fluid is not None and model.fluid is not fluid:
+        raise InputError(f"{path}: the fluid of the model is in the file, drop fluid=")
     if asked:
         raise InputError(
             f"{path}: give the fluid of the model again, its drag or an inflow was a function"

@@ -74,6 +74,8 @@ class Coupling(Fields):
         speed[: len(self.velocity)] = self.velocity
         d = float(self.discs.diameter.min())
         fall = float(np.hypot(*self.gravity))
+        if fall > 0.0:
+            longest = min(longest, np.sqrt(2.0 * WAY * d / fall))
         if self.fluid.dt is None and fall > 0.0:
             longest = 0.1 * np.sqrt(d / fall)
         relative = np.hypot(*(speed[corner] - np.roll(speed[corner], 1, axis=1)).T).max(initial=0.0)
@@ -92,6 +94,8 @@ class Coupling(Fields):
         rate = float((crossed / np.maximum(area, twice.min())).max())
         if rate > 0.0:
             longest = min(longest, COURANT / rate)
+        if not np.isfinite(longest):
+            longest = most * dt
         # Powers of two that grow reluctantly: the matrix, and its factor, then change less often.
         count = max(1, int(longest / dt + 1e-9))
         power = 1 << (count.bit_length() - 1)
@@ -151,6 +155,7 @@ class Coupling(Fields):
         new = self._places(self.mesh.points)
         self.kernel = k = self._kernel()
         clock("kernel")
+        mass = op.vector("mass")
         # Convection half-way, Eq. (4) of navier.
         coordinates = op.mesh.ngmesh.Coordinates()
         coordinates[:, :2] = 0.5 * (old + new)
@@ -158,18 +163,25 @@ class Coupling(Fields):
         op.load(eps=porosity[g.vertex], w=(new - old) / dt)
         was = op.u.vec.FV().NumPy().copy()
         op.foretold.vec.FV().NumPy()[:] = was + 0.5 * omega * self.du
-        C = op.vector("convection")
+        C, drained = op.vector("convection"), op.vector("mass_flux")
+        mean = self.Q.reshape(2, -1)[:, : len(old)].sum(axis=1) / np.maximum(
+            mass.reshape(2, -1)[:, : len(old)].sum(axis=1), 1e-300
+        )
         coordinates[:, :2] = new
+        op.load(eps=k.porosity[g.vertex])
+        gained = (op.vector("mass") - mass) / dt
+        C += np.repeat(mean, len(C) // 2) * (gained - drained)  # Eq. (6) of navier
         # The discs, Eqs. (1), (3), (4).
         self.time += dt
-        V, free, b = discs.volume, discs.inverse, self._drag()
+        V, free, b = discs.volume, discs.inverse, self._drag(omega)
         added = fluid.added_mass * fluid.density * V * c / dt
-        known = -added[:, None] * (self.around - self.velocity)
-        b = b + added
+        slip = self.around - self.velocity
+        known = -(added / c)[:, None] * (c * slip - c1 * self.slid)
+        law, b = b, b + added
         alpha = 1.0 / (c + b * dt * free)
         weight = np.where(discs.free, discs.mass - fluid.density * V, 0.0)[:, None] * self.gravity
         push = np.array(fluid.push)
-        if self.box.periodic:  # held up by a mean pressure gradient
+        if self.box.periodic and discs.free.all():  # held up by a mean pressure gradient
             push = push - weight.sum(axis=0) / self.box.area
         own = weight + outside + known + V[:, None] * push
         jump = self.velocity + impulse * free[:, None]
@@ -220,7 +232,8 @@ class Coupling(Fields):
         self.force = pull - b[:, None] * found + known + V[:, None] * push
         self.last = found - jump
         self.last[~discs.free] = 0.0
-        self.velocity, self.drag, self.dt = found, b, dt
+        self.slid = self.around - found - slip
+        self.velocity, self.drag, self.dt = found, law, dt
         clock("rest")
         if self.mesh.mend():
             self._remesh()
@@ -238,7 +251,7 @@ class Coupling(Fields):
         wanted: Float = self.fluid.density * speed * h / ROUGH - self.fluid.viscosity
         return np.maximum(wanted, 0.0)
 
-    def _drag(self) -> Float:
+    def _drag(self, omega: float) -> Float:
         """b of the law, for the undisturbed velocity if it is made for that."""
         fluid, discs = self.fluid, self.discs
         across = self.box.size[0 if abs(self.gravity[1]) >= abs(self.gravity[0]) else 1]
@@ -248,7 +261,7 @@ class Coupling(Fields):
             diameter=discs.diameter,
             porosity=np.maximum(1.0 - discs.volume / self.kernel.area, LEAST_POROSITY),
             area=self.kernel.area,
-            slip=np.hypot(*(self.around - self.velocity).T),
+            slip=self._own_slip(omega),
             gap=self._gap() if fluid.drag.variable == "gap" else np.nan,
             width=np.inf if self.box.periodic else float(across),
         )
@@ -266,6 +279,14 @@ class Coupling(Fields):
                 "Fluid(reach=...), or take a drag law of beds"
             )
         return b / (1.0 - share)  # Eq. (6)
+
+    def _own_slip(self, omega: float) -> Float:
+        """Speed of the fluid against each disc that its law is to see, foretold for BDF2."""
+        slip = np.hypot(*(self.around - self.velocity + omega * self.slid).T)
+        if self.fluid.drag.undisturbed:  # F = b (U - u_i), Eq. (6)
+            slip = slip * (1.0 + self.drag * self.mobility)
+        found: Float = slip
+        return found
 
     def _mobility(self) -> Float:
         """G of each disc, Eq. (6); of many, that of some, and for the others their median."""

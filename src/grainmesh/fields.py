@@ -27,12 +27,15 @@ Arrays = dict[str, NDArray[Any]]
 
 #: Least porosity of a vertex.
 LEAST_POROSITY = 0.02
+#: Most nodes in open places.
+MANY = 1e6
 #: Iterations after which the factor is made anew, and at most.
 FEW, MOST = 8, 60
 #: What a checkpoint holds besides the mesh and the unknowns.
 NUMBERS = ("time", "dt", "stirring_since", "iterations", "factors")
 STATE = (
-    "velocity", "last", "force", "around", "curl", "drag", "mobility", "extra", "D", "du", "Q",
+    "velocity", "last", "slid", "force", "around", "curl", "drag", "mobility",
+    "extra", "D", "du", "Q",
 )  # fmt: skip
 MATRIX = ("eps", "inertia", "E", "S", "stirred")
 TOPOLOGY = ("points", "triangles", "neighbours", "shifts")
@@ -155,10 +158,16 @@ class Fields:
     ) -> None:
         self.box, self.fluid, self.discs = box, fluid, discs
         self.gravity = np.array(gravity)
+        if fluid.spacing is not None and box.area > MANY * fluid.spacing**2:
+            raise InputError(
+                f"fluid: a spacing of {fluid.spacing:g} m makes {box.area / fluid.spacing**2:.1g} "
+                "nodes in this box: check the unit, or take a larger one"
+            )
         self.mesh = bounded(box, x, 0.5 * discs.diameter, fluid.spacing)
         n = len(x)
         self.velocity, self.last = np.array(velocity), np.zeros((n, 2))
         self.force, self.around, self.curl = np.zeros((n, 2)), np.zeros((n, 2)), np.zeros(n)
+        self.slid = np.zeros((n, 2))
         self.drag, self.mobility = np.zeros(n), np.zeros(n)
         self.time = self.dt = self.stirring_since = 0.0
         self.iterations = self.factors = 0
@@ -234,8 +243,9 @@ class Fields:
     def measure(self) -> dict[str, float]:
         """Numbers of the present flow.
 
-        fluid kinetic [J/m], slip (mean speed of fluid against discs [m/s]), flow step [s],
-        iterations; of a box with walls, the mean dynamic pressure at each side [Pa].
+        fluid kinetic [J/m], slip (mean speed of fluid against discs [m/s]), flow step [s], added
+        viscosity (largest, over mu; see `coupling.ROUGH`), iterations; of a box with walls, the
+        mean dynamic pressure at each side [Pa].
         """
         op, u = self.operator, self.operator.u
         energy = 0.5 * op.density * op.eps * InnerProduct(u, u)
@@ -243,6 +253,7 @@ class Fields:
             "fluid kinetic": float(Integrate(energy, op.mesh, order=2 * op.order + 1)),
             "slip": float(np.hypot(*(self.around - self.velocity).T).mean()),
             "flow step": self.dt,
+            "added viscosity": float(op.stirred.vec.FV().NumPy().max()) / self.fluid.viscosity,
             "iterations": self.iterations,
         }
         for number, side in enumerate(() if self.box.periodic else SIDES):
@@ -250,6 +261,12 @@ class Fields:
             total = Integrate(op.p, op.mesh, BND, definedon=on, order=op.order)
             found[f"pressure {side}"] = float(total) / float(self.box.size[1 - number // 2])
         return found
+
+    def refuse_other(self, fluid: Fluid) -> None:
+        """Raise if the mesh or the elements of another fluid would be others."""
+        for name in ("order", "spacing", "reach"):
+            if getattr(fluid, name) != getattr(self.fluid, name):
+                raise InputError(f"change: {name} of the fluid must stay as it is")
 
     def change(self, fluid: Fluid, gravity: tuple[float, float]) -> None:
         """Go on with another fluid, or other sides, on the same mesh.
@@ -259,9 +276,7 @@ class Fields:
         InputError
             If order, spacing or reach differ.
         """
-        for name in ("order", "spacing", "reach"):
-            if getattr(fluid, name) != getattr(self.fluid, name):
-                raise InputError(f"change: {name} of the fluid must stay as it is")
+        self.refuse_other(fluid)
         self.fluid, self.gravity = fluid, np.array(gravity)
         self._factor, self._recipe = None, {}
         self._remesh()
@@ -428,7 +443,7 @@ class Fields:
         """Eq. (2) for the present places of discs and vertices."""
         mesh, r = self.mesh, 0.5 * self.discs.diameter
         n, m = len(r), len(mesh.points)
-        reach = self.fluid.reach * float(self.discs.diameter.mean())
+        reach = self.fluid.reach * float(self.discs.diameter.max())
         arrays = mesh.points, mesh.triangles, mesh.neighbours, mesh.shifts
         found = spread(self.box, mesh.points[:n], r, reach, *arrays, cells)
         place = self._corners()
@@ -507,11 +522,7 @@ class Fields:
             if isinstance(kind, NoSlip):
                 value[..., 1 - axis] = kind.speed
             else:
-                wanted: Any = kind.velocity
-                if callable(wanted):
-                    wanted = np.asarray(wanted(place[on].reshape(-1, 2), self.time), dtype=float)
-                    wanted = wanted.reshape(value.shape)
-                volume[:] = wanted
+                volume[:] = kind.at(place[on].reshape(-1, 2), self.time).reshape(value.shape)
                 value = volume / eps[on][..., None]
             if not np.isfinite(value).all():
                 raise InputError(f"fluid: the velocity of the {SIDES[side]} side is not finite")

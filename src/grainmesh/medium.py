@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from grainmesh.closures import Law
 from grainmesh.domain import SIDES
-from grainmesh.drag import DRAGS, Drag, from_name
+from grainmesh.drag import DRAGS, Drag, Permeability, from_name
 from grainmesh.errors import InputError
 
 Float = NDArray[np.float64]
@@ -29,6 +30,9 @@ class NoSlip:
     """
 
     speed: float = 0.0
+
+    def __post_init__(self) -> None:
+        _number("NoSlip: speed", self.speed, "m/s")
 
 
 @dataclass(frozen=True)
@@ -48,6 +52,28 @@ class Inflow:
 
     velocity: tuple[float, float] | Profile
 
+    def __post_init__(self) -> None:
+        if not callable(self.velocity):
+            object.__setattr__(self, "velocity", _pair("Inflow: velocity", self.velocity, "m/s"))
+
+    def at(self, places: Float, time: float) -> Float:
+        """Velocity at places (k, 2) [m] and a time [s], (k, 2)."""
+        if not callable(self.velocity):
+            return np.broadcast_to(np.array(self.velocity), places.shape)
+        try:
+            found = np.asarray(self.velocity(places, time), dtype=float)
+        except Exception as fault:
+            raise InputError(
+                f"Inflow: the function of the velocity fails ({type(fault).__name__}: {fault}); it "
+                "takes places (k, 2) [m] and the time [s]"
+            ) from None
+        if found.shape != places.shape or not np.isfinite(found).all():
+            raise InputError(
+                f"Inflow: the function of the velocity must return {places.shape} finite numbers, "
+                f"it returned {found.shape}"
+            )
+        return found
+
 
 @dataclass(frozen=True)
 class Outlet:
@@ -60,6 +86,9 @@ class Outlet:
     """
 
     pressure: float = 0.0
+
+    def __post_init__(self) -> None:
+        _number("Outlet: pressure", self.pressure, "Pa")
 
 
 Side = NoSlip | Slip | Inflow | Outlet
@@ -75,8 +104,9 @@ class Fluid:
         rho_f [kg/m3].
     viscosity : float
         mu [Pa s].
-    drag : Drag
-        Law for the drag on each disc (`grainmesh.drag`).
+    drag : Drag, Law or str
+        Law for the drag on each disc (`grainmesh.drag`): itself, a permeability law, or a name of
+        `drag.DRAGS`. That of discs at random if not given.
     sides : mapping
         From names of sides (see `domain.SIDES`) to `NoSlip`, `Slip`, `Inflow` or `Outlet`; those
         not named are `NoSlip()`. Particles see the walls of the model, which may be others: an
@@ -84,21 +114,23 @@ class Fluid:
     order : int
         Polynomial order k >= 1 of the velocity.
     dt : float, optional
-        Longest step of the flow [s]. It is shortened so that particles move by a seventh of a
-        diameter at most, and for the flow not to cross more than half a node.
+        Longest step of the flow [s]; a tenth of sqrt(d/g) if not given. It is shortened so that
+        particles move by a seventh of a diameter at most, and for the flow not to cross more than
+        half a node. Beds under load take up their state over some of them.
     scheme : str
         "euler" (implicit Euler) or "bdf2", of second order.
     reach : float
-        No particle is spread over more than a circle of this radius, in mean diameters.
+        No particle is spread over more than a circle of this radius, in largest diameters.
     spacing : float, optional
-        Distance of nodes where no particles are [m]; if not given, there are none but on walls.
+        Distance of nodes where no particles are [m]; if not given, there are none but on walls, and
+        triangles in an empty part of the box are large.
     torque : bool
         Viscous torque pi mu d² (vorticity/2 - spin) on each disc.
     added_mass : float
         Coefficient C of the force C rho_f V (du/dt - du_i/dt).
     push : (float, float)
-        Minus a mean pressure gradient [Pa/m]. In a periodic box the weight of the particles is
-        held up by a mean pressure gradient besides, or all would fall for ever.
+        Minus a mean pressure gradient [Pa/m]. In a periodic box without fixed particles their
+        weight is held up by a mean pressure gradient besides, or all would fall for ever.
     tolerance : float
         Residual of the linear solver over right-hand side.
 
@@ -110,7 +142,7 @@ class Fluid:
 
     density: float
     viscosity: float
-    drag: Drag
+    drag: Drag = field(default_factory=Permeability)
     sides: Mapping[str, Side] = field(default_factory=dict)
     order: int = 2
     dt: float | None = None
@@ -125,14 +157,38 @@ class Fluid:
     def __post_init__(self) -> None:
         for name in ("density", "viscosity", "dt", "reach", "spacing", "tolerance"):
             value = getattr(self, name)
-            if value is not None and not (isfinite(value) and value > 0.0):
+            if value is None and name in ("dt", "spacing"):
+                continue
+            _number(f"fluid: {name}", value, UNITS[name])
+            if value <= 0.0:
                 raise InputError(f"fluid: {name} = {value:g} must be positive")
-        if not (isfinite(self.added_mass) and self.added_mass >= 0.0):
+        _number("fluid: added_mass", self.added_mass, "-")
+        if self.added_mass < 0.0:
             raise InputError(f"fluid: added_mass = {self.added_mass:g} must not be negative")
-        if not isinstance(self.drag, Drag):
-            raise InputError(f"fluid: drag {self.drag!r} must be a law of grainmesh.drag")
-        if self.order != int(self.order) or self.order < 1:
+        if self.tolerance > 0.01:
+            raise InputError(f"fluid: tolerance = {self.tolerance:g} must be at most 0.01")
+        object.__setattr__(self, "push", _pair("fluid: push", self.push, "Pa/m"))
+        drag: object = self.drag
+        if isinstance(drag, str):
+            object.__setattr__(self, "drag", from_name(drag))
+        elif isinstance(drag, Law):
+            object.__setattr__(self, "drag", Permeability(drag))
+        elif not isinstance(drag, Drag):
+            raise InputError(
+                f"fluid: drag {drag!r} must be a law of grainmesh.drag, or the name of one: "
+                f"{', '.join(DRAGS)}"
+            )
+        if isinstance(self.drag, Permeability) and not isinstance(self.drag.law, Law):
+            raise InputError(
+                f"fluid: drag.Permeability({self.drag.law!r}) must be of a permeability law, "
+                "grainmesh.closures.LAWS[name] perhaps"
+            )
+        if isinstance(self.order, bool) or not isinstance(self.order, (int, np.integer)):
+            raise InputError(f"fluid: order {self.order!r} must be a whole number from 1")
+        if self.order < 1:
             raise InputError(f"fluid: order {self.order} must be a whole number from 1")
+        if not isinstance(self.sides, Mapping):
+            raise InputError("fluid: sides must be a dict, as {'top': Outlet()}")
         if self.scheme not in ("euler", "bdf2"):
             raise InputError(f"fluid: scheme {self.scheme!r} must be 'euler' or 'bdf2'")
         for side, kind in self.sides.items():
@@ -151,6 +207,31 @@ class Fluid:
     def names(self, *kinds: type) -> tuple[str, ...]:
         """Sides of these kinds."""
         return tuple(name for name in SIDES if isinstance(self.side(name), kinds))
+
+
+UNITS = {
+    "density": "kg/m3", "viscosity": "Pa s", "dt": "s", "reach": "largest diameters",
+    "spacing": "m", "tolerance": "-",
+}  # fmt: skip
+
+
+def _number(name: str, value: object, unit: str) -> None:
+    """Raise if this is no finite number."""
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, (int, float, np.number))
+        or not isfinite(value)
+    ):
+        raise InputError(f"{name} = {value!r} must be a finite number [{unit}]")
+
+
+def _pair(name: str, value: object, unit: str) -> tuple[float, float]:
+    """Two finite numbers, or raise."""
+    if not isinstance(value, (tuple, list, np.ndarray)) or len(value) != 2:
+        raise InputError(f"{name} {value!r} must be two numbers [{unit}]")
+    for part in value:
+        _number(name, part, unit)
+    return float(value[0]), float(value[1])
 
 
 KINDS = {kind.__name__: kind for kind in (NoSlip, Slip, Inflow, Outlet)}

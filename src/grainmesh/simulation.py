@@ -344,6 +344,8 @@ class Simulation:
             model.fluid is not None and model.box != self.model.box
         ):
             raise InputError("change: a box with fluid must stay as it is, and others without")
+        if self.flow is not None and model.fluid is not None:
+            self.flow.refuse_other(model.fluid)
         law = replace(model, dt=self.dt)
         step_of(law, self.particles, self.fixed)
         new, old = model.all_walls, self.model.all_walls
@@ -498,8 +500,8 @@ class Simulation:
                     flow.solve(span, impulse, outside)
                     break
                 fault = None
-            except RunError as why:
-                fault = why
+            except (RunError, InputError) as why:
+                fault = RunError(f"{why} (at t = {self.t:g} s)") if steps == 1 else None
             self._restore(good)
             flow.back(state, numbers)
             if steps == 1:
