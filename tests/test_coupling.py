@@ -278,7 +278,7 @@ def test_any_density_at_the_same_step(ratio, steps):
         assert fastest > 1e-3
         speed = np.hypot(*flow.velocity.T)
         assert np.median(speed) < 0.01 * fastest  # some rattle in their cages
-        assert speed.max() < 0.1 * fastest
+        assert speed.max() < (0.1 if ratio > 0.05 else 0.2) * fastest
         at_rest = floor.min() if ratio > 1.0 else height - top.max()
         assert abs(at_rest) < 0.01 * D
         V, m = flow.discs.volume, flow.discs.mass
