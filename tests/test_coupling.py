@@ -532,12 +532,14 @@ def falling(law, order, spacing):
 
 
 @pytest.mark.parametrize(
-    ("order", "spacing"), [(1, None), (2, None), (4, None), (2, 0.25), (2, 0.12)]
+    ("order", "spacing"),
+    [(1, None), (2, None), (4, None), *(pytest.param(2, h, marks=SLOW) for h in (0.25, 0.12))],
 )
 def test_speed_of_one_disc_depends_neither_on_order_nor_on_mesh(order, spacing):
     assert falling(gm.drag.Channel(), order, spacing) == pytest.approx(0.17, rel=0.02)
 
 
+@SLOW
 def test_a_disc_that_feels_its_own_flow_falls_too_fast_the_more_so_the_finer_the_mesh():
     coarse, fine = (falling(Disturbed(), 2, spacing) for spacing in (None, 0.12))
     assert 0.17 * 1.005 < coarse < fine

@@ -69,7 +69,14 @@ MOVING = {
 }
 
 
-@pytest.mark.parametrize("name", MOVING)
+@pytest.mark.parametrize(
+    "name",
+    [
+        name if name in ("sedimentation", "fluidised_bed")
+        else pytest.param(name, marks=pytest.mark.slow)
+        for name in MOVING
+    ],
+)  # fmt: skip
 def test_moving_case(name, tmp_path):
     """Each asserts the physics it shows; here, that no grain is lost and files are written."""
     end = load(ROOT / "examples" / f"{name}.py").main(tmp_path, quick=True)
