@@ -24,7 +24,7 @@ D, RAMP = 1e-3, 3e-3  # diameter [m], growth of the superficial velocity [m/s2]
 
 
 def main(out: Path, quick: bool = False) -> gm.Simulation:
-    n, time = (60, 1.5) if quick else (150, 2.5)
+    n, time = (60, 1.5) if quick else (150, 2.0)
     box = gm.Box(10.0 * D, 32.0 * D)
     contact = gm.Contact(stiffness=5e4, restitution=0.3)
     grains = gm.arrange.loose(box, n, diameter=(0.9 * D, 1.1 * D), seed=1)
