@@ -168,7 +168,7 @@ class Coupling(Fields):
             mass.reshape(2, -1)[:, : len(old)].sum(axis=1), 1e-300
         )
         coordinates[:, :2] = new
-        op.load(eps=k.porosity[g.vertex])
+        self._load_porosity()
         gained = (op.vector("mass") - mass) / dt
         C += np.repeat(mean, len(C) // 2) * (gained - drained)  # Eq. (6) of navier
         # The discs, Eqs. (1), (3), (4).
@@ -194,7 +194,6 @@ class Coupling(Fields):
         u, slope, _ = (k.mean(self._at_points(part)) for part in op.means())
         dE, dS = k.field(b * share * V)[g.vertex], k.field(V**2 * share)[g.vertex]
         op.load(
-            eps=eps[g.vertex],
             inertia=(c * fluid.density * eps / dt + k.field(b * c * alpha))[g.vertex],
             E=eps[g.vertex] + dE,
             S=dS,
@@ -296,7 +295,6 @@ class Coupling(Fields):
         one[np.arange(len(some)), some] = 1.0
         along = g / np.hypot(*g) if g.any() else np.array([1.0, 0.0])
         psi = np.stack([k.field(row) for row in one])[:, self.grid.vertex]
-        self._load_porosity()
         # From rest it takes until then; all forces are taken to act since the start.
         lasts = self.fluid.density * float(self.box.size.min()) ** 2 / self.fluid.viscosity
         lasts = min(lasts, self.time)

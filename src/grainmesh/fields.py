@@ -433,11 +433,12 @@ class Fields:
         self._set_sides()
         moved = np.abs(self.kernel.porosity - old_porosity) > 1e-13
         weight = self.kernel.porosity * self.kernel.hats
-        after = _gathered(op, keys, op.vector("momentum"))[: len(weight)] + loads[0][: len(weight)]
+        momentum = op.vector("momentum")
+        after = _gathered(op, keys, momentum)[: len(weight)] + loads[0][: len(weight)]
         for load, missing in zip(loads, (before - after, lost), strict=True):
             load[: len(weight)] += _made_up(old_keys, keys, missing, moved, weight)
         self.extra, self.D = (_load_of(op, keys, values) for values in loads)
-        self.Q = op.vector("momentum") + self.extra
+        self.Q = momentum + self.extra
 
     def _kernel(self, cells: Diagram | None = None) -> Kernel:
         """Eq. (2) for the present places of discs and vertices."""
@@ -524,8 +525,6 @@ class Fields:
             else:
                 volume[:] = kind.at(place[on].reshape(-1, 2), self.time).reshape(value.shape)
                 value = volume / eps[on][..., None]
-            if not np.isfinite(value).all():
-                raise InputError(f"fluid: the velocity of the {SIDES[side]} side is not finite")
             edge = np.searchsorted(keys.edges, keys._edge(ends[on]))
             none = np.empty((len(edge), 0), np.int64)
             where = keys.unknowns(ends[on], edge[:, None], none)
