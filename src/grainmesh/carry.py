@@ -222,6 +222,38 @@ def along_edge(order: int, values: Float) -> Float:
     return found
 
 
+def lattice(parts: int) -> tuple[Float, Int]:
+    """Even nodes (l, 3) of a triangle whose edges are cut, and small triangles of them (c, 3).
+
+    Nodes as of a field of order `parts`: barycentric, corners first, then edges.
+    """
+    nodes, steps = [], range(1, parts)
+    nodes += (parts * np.eye(3, dtype=int)).tolist()
+    for a, b in PAIRS.tolist():
+        for step in steps:
+            node = [0, 0, 0]
+            node[a], node[b] = parts - step, step
+            nodes.append(node)
+    nodes += [[parts - i - j, i, j] for i in steps for j in range(1, parts - i)]
+    number = {(i, j): row for row, (_, i, j) in enumerate(nodes)}
+    small = []
+    for i in range(parts):
+        for j in range(parts - i):
+            small.append([number[i, j], number[i + 1, j], number[i, j + 1]])
+            if i + j < parts - 1:
+                small.append([number[i + 1, j], number[i + 1, j + 1], number[i, j + 1]])
+    return np.array(nodes) / parts, np.array(small)
+
+
+def values_at(keys: Keys, values: Float, weights: Float) -> Float:
+    """Fields (size, c) at barycentric places (l, 3), corners rising, in all triangles (t, l, c)."""
+    _, to_values, of_values = _element(keys.order, keys.bubble)
+    shape = _monomials(weights, keys.order, keys.bubble) @ of_values @ to_values
+    local = values[keys.local(np.arange(len(keys.triangles)))]
+    found: Float = np.einsum("ql,tlc->tqc", shape, local)
+    return found
+
+
 def _found(among: Int, wanted: Int) -> tuple[NDArray[np.bool_], Int]:
     """Which of the wanted numbers are among sorted ones, and where."""
     place = np.searchsorted(among, wanted).clip(max=len(among) - 1)
@@ -287,4 +319,4 @@ def _monomials(weight: Float, order: int, bubble: bool) -> Float:
     return np.stack([a**p * b**q * c**r for p, q, r in powers], axis=1)
 
 
-__all__ = ["Keys", "along_edge", "carry", "carry_load"]
+__all__ = ["Keys", "along_edge", "carry", "carry_load", "lattice", "values_at"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from ngsolve import BND, InnerProduct, Integrate
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
-from grainmesh.carry import Keys, along_edge, carry, carry_load
+from grainmesh.carry import Keys, along_edge, carry, carry_load, lattice, values_at
 from grainmesh.cells import Diagram
 from grainmesh.domain import SIDES, Box
 from grainmesh.errors import InputError, RunError
@@ -98,6 +98,28 @@ class Kernel:
             moments / (self.hats if moments.ndim == 1 else self.hats[:, None])
         )
         return found
+
+
+class Sample(NamedTuple):
+    """Flow at points, joined by straight triangles.
+
+    Attributes
+    ----------
+    points : (p, 2)
+        [m]
+    triangles : (c, 3)
+        Counter-clockwise.
+    velocity : (p, 2)
+        Of the fluid between the discs [m/s].
+    pressure, porosity : (p,)
+        Dynamic pressure [Pa], and share of fluid.
+    """
+
+    points: Float
+    triangles: NDArray[np.int64]
+    velocity: Float
+    pressure: Float
+    porosity: Float
 
 
 class Fields:
@@ -262,6 +284,47 @@ class Fields:
             found[f"pressure {side}"] = float(total) / float(self.box.size[1 - number // 2])
         return found
 
+    def sample(self, cuts: int = 1) -> Sample:
+        """Flow at the vertices, or on triangles each of whose edges is cut into `cuts` pieces.
+
+        In a periodic box each triangle has points of its own, and lies where its middle is inside.
+        """
+        own, p = self.keys, self.pressure_keys
+        rows = np.arange(len(own.triangles))
+        nodes, pattern = lattice(cuts)
+        now = replace(own, points=self.mesh.points)
+        corners = now.places(rows)
+        if self.box.periodic:
+            number = np.arange(len(rows) * len(nodes)).reshape(len(rows), -1)
+        else:
+            found = replace(own, order=cuts, bubble=False).local(rows)
+            number = np.unique(found, return_inverse=True)[1].reshape(found.shape)
+        u = self.operator.u.vec.FV().NumPy()
+        parts = (
+            np.einsum("lk,tkc->tlc", nodes, corners),
+            values_at(own, _gathered(self.operator, own, u), nodes),
+            values_at(p, self._pressures(), nodes),
+            np.einsum("lk,tk->tl", nodes, self.kernel.porosity[own.corners])[..., None],
+        )
+        values = [np.empty((number.max() + 1, part.shape[-1])) for part in parts]
+        for into, part in zip(values, parts, strict=True):
+            into[number] = part
+        a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        over = a[:, 0] * b[:, 1] < a[:, 1] * b[:, 0]
+        triangles = number[:, pattern]
+        triangles[over] = triangles[over][..., ::-1]
+        return Sample(
+            values[0], triangles.reshape(-1, 3), values[1], values[2][:, 0], values[3][:, 0]
+        )
+
+    def _pressures(self) -> Float:
+        """Unknowns of the pressure by key (size, 1)."""
+        p, op = self.pressure_keys, self.operator
+        found = np.zeros((p.size, 1))
+        use = op.free[op.V.ndof :] | (not self.box.periodic)
+        found[p.of_mesh[use], 0] = op.p.vec.FV().NumPy()[use]
+        return found
+
     def refuse_other(self, fluid: Fluid) -> None:
         """Raise if the mesh or the elements of another fluid would be others."""
         for name in ("order", "spacing", "reach"):
@@ -410,9 +473,7 @@ class Fields:
         old_op, old_keys, old_p = self.operator, self.keys, self.pressure_keys
         loads = [_gathered(old_op, old_keys, values) for values in (self.extra, self.D)]
         fields = [_gathered(old_op, old_keys, v) for v in (old_op.u.vec.FV().NumPy(), self.du)]
-        p = np.zeros((old_p.size, 1))
-        use = old_op.free[old_op.V.ndof :] | (not self.box.periodic)
-        p[old_p.of_mesh[use], 0] = old_op.p.vec.FV().NumPy()[use]
+        p = self._pressures()
         old_porosity = self.kernel.porosity
         before = _gathered(old_op, old_keys, self.Q)[: len(old_porosity)]
         self._build()
