@@ -294,6 +294,7 @@ class Fields:
         nodes, pattern = lattice(cuts)
         now = replace(own, points=self.mesh.points)
         corners = now.places(rows)
+        number: NDArray[np.int64]
         if self.box.periodic:
             number = np.arange(len(rows) * len(nodes)).reshape(len(rows), -1)
         else:
