@@ -48,6 +48,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
+from grainmesh import integrals
 from grainmesh.drag import Bed
 from grainmesh.errors import RunError
 from grainmesh.fields import LEAST_POROSITY, Discs, Fields, Kernel
@@ -68,9 +69,9 @@ class Coupling(Fields):
 
     def steps(self, dt: float, most: int) -> int:
         """How many steps `dt` of contacts the next step of the flow takes, at most `most`."""
-        points, corner = self.mesh.points, self.mesh.triangles
+        op, corner = self.operator, self.operator.topology.corners
         longest = self.fluid.dt or np.inf
-        speed = np.zeros((len(points), 2))
+        speed = np.zeros((len(self.mesh.points), 2))
         speed[: len(self.velocity)] = self.velocity
         d = float(self.discs.diameter.min())
         fall = float(np.hypot(*self.gravity))
@@ -78,20 +79,25 @@ class Coupling(Fields):
             longest = min(longest, np.sqrt(2.0 * WAY * d / fall))
         if self.fluid.dt is None and fall > 0.0:
             longest = 0.1 * np.sqrt(d / fall)
-        relative = np.hypot(*(speed[corner] - np.roll(speed[corner], 1, axis=1)).T).max(initial=0.0)
+        a, b, c = speed[corner.T]
+        relative = (
+            max(
+                float(((end - start) ** 2).sum(axis=1).max(initial=0.0))
+                for start, end in ((a, b), (b, c), (c, a))
+            )
+            ** 0.5
+        )
         if relative > 0.0:
             longest = min(longest, WAY * d / relative)
-        flow = self._points_of(self.operator.u)[corner].mean(axis=1) - speed[corner].mean(axis=1)
-        edge = np.roll(self._corners(), -1, axis=1) - self._corners()
-        twice = edge[:, 0, 0] * edge[:, 1, 1] - edge[:, 0, 1] * edge[:, 1, 0]
-        # How fast flow crosses the triangles around a vertex, |u·∇λ|, their mean by area. Where
-        # viscosity is faster, u² rho/mu takes the place of u/h: it acts implicitly.
-        across = np.abs(edge[..., 0] * flow[:, None, 1] - edge[..., 1] * flow[:, None, 0])
-        smooth = 0.5 * self.fluid.density / self.fluid.viscosity * (flow**2).sum(axis=1) * twice
-        across = np.minimum(self.fluid.order**2 * across, smooth[:, None])
-        area = np.bincount(corner.ravel(), np.repeat(twice, 3), len(points))
-        crossed = np.bincount(np.roll(corner, 1, axis=1).ravel(), across.ravel(), len(points))
-        rate = float((crossed / np.maximum(area, twice.min())).max())
+        # How fast flow crosses the triangles around a point. Where viscosity is faster, u² rho/mu
+        # takes the place of u/h: it acts implicitly.
+        smooth = 0.5 * self.fluid.density / self.fluid.viscosity
+        rate = float(
+            integrals.crossing(
+                corner, op.gradient, op.area, op.u[: len(speed)] - speed,
+                float(self.fluid.order**2), smooth,
+            )
+        )  # fmt: skip
         if rate > 0.0:
             longest = min(longest, COURANT / rate)
         if not np.isfinite(longest):
@@ -147,30 +153,24 @@ class Coupling(Fields):
         RunError
             If discs are too dense for the mesh, or the linear solver does not converge.
         """
-        op, fluid, discs, g = self.operator, self.fluid, self.discs, self.grid
+        op, fluid, discs = self.operator, self.fluid, self.discs
         clock = _Clock(self.seconds)
         omega = dt / self.dt if fluid.scheme == "bdf2" and self.dt > 0.0 else 0.0
         c, c1 = (1.0 + 2.0 * omega) / (1.0 + omega), omega**2 / (1.0 + omega)
-        old, before = self._places(self._old), self.kernel
-        new = self._places(self.mesh.points)
+        old, new, before = self._old, self.mesh.points, self.kernel
         self.kernel = k = self._kernel()
         clock("kernel")
-        mass = op.vector("mass")
+        m, mass = len(new), op.mass()
         # Convection half-way, Eq. (4) of navier.
-        coordinates = op.mesh.ngmesh.Coordinates()
-        coordinates[:, :2] = 0.5 * (old + new)
-        porosity = 0.5 * (before.porosity + k.porosity)
-        op.load(eps=porosity[g.vertex], w=(new - old) / dt)
-        was = op.u.vec.FV().NumPy().copy()
-        op.foretold.vec.FV().NumPy()[:] = was + 0.5 * omega * self.du
-        C, drained = op.vector("convection"), op.vector("mass_flux")
-        mean = self.Q.reshape(2, -1)[:, : len(old)].sum(axis=1) / np.maximum(
-            mass.reshape(2, -1)[:, : len(old)].sum(axis=1), 1e-300
-        )
-        coordinates[:, :2] = new
+        op.at(0.5 * (old + new))
+        op.load(eps=0.5 * (before.porosity + k.porosity), w=(new - old) / dt)
+        was = op.u.copy()
+        C, drained = op.convection(was + 0.5 * omega * self.du)
+        mean = self.Q[:m].sum(axis=0) / mass[:m].sum()
+        op.at(new)
         self._load_porosity()
-        gained = (op.vector("mass") - mass) / dt
-        C += np.repeat(mean, len(C) // 2) * (gained - drained)  # Eq. (6) of navier
+        gained = (op.mass() - mass) / dt
+        C += mean * (gained - drained)[:, None]  # Eq. (6) of navier
         # The discs, Eqs. (1), (3), (4).
         self.time += dt
         V, free, b = discs.volume, discs.inverse, self._drag(omega)
@@ -189,42 +189,41 @@ class Coupling(Fields):
         ahead[~discs.free] = 0.0
         share = alpha * dt * free
         eps = k.porosity
-        op.u.vec.FV().NumPy()[:] += dt / self.dt * self.du if self.dt > 0.0 else 0.0
+        if self.dt > 0.0:
+            op.u += dt / self.dt * self.du
         self._set_sides()
-        u, slope, _ = (k.mean(self._at_points(part)) for part in op.means())
-        dE, dS = k.field(b * share * V)[g.vertex], k.field(V**2 * share)[g.vertex]
+        u, slope, _ = (k.mean(part) for part in op.means())
+        dE, dS = k.field(b * share * V), k.field(V**2 * share)
         op.load(
-            inertia=(c * fluid.density * eps / dt + k.field(b * c * alpha))[g.vertex],
-            E=eps[g.vertex] + dE,
+            inertia=c * fluid.density * eps / dt + k.field(b * c * alpha),
+            E=eps + dE,
             S=dS,
             dE=dE,
             dS=dS,
-            f=(
-                k.field((b * alpha)[:, None] * ahead - known - (b * share * V)[:, None] * slope)
-                + eps[:, None] * push
-            )[g.vertex],
+            f=k.field((b * alpha)[:, None] * ahead - known - (b * share * V)[:, None] * slope)
+            + eps[:, None] * push,
             g=k.field(
                 V[:, None]
                 * (alpha[:, None] * ahead + share[:, None] * (b[:, None] * u - V[:, None] * slope))
-            )[g.vertex],
+            ),
         )
-        op.stirred.vec.FV().NumPy()[:] = self._stirred()
+        op.stirred[:] = self._stirred()
+        f = op.source()
+        f[: op.split] += ((c * (self.Q + dt * C) + c1 * self.D) / dt).ravel()
+        if fluid.names(Inflow):
+            f[op.split :] += op.inflow(self._through)
         clock("rest")
         op.assemble()
-        f = op.vector("source")
-        f[: op.V.ndof] += (c * (self.Q + dt * C) + c1 * self.D) / dt
-        if fluid.names(Inflow):
-            f[op.V.ndof :] += op.vector("inflow")
         clock("matrix")
         residual = self._linear(f, c / dt * fluid.density)
         clock("solve")
-        self.du = op.u.vec.FV().NumPy() - was
-        self.extra = residual[: op.V.ndof] * dt / c
-        Q = op.vector("momentum") + self.extra
+        self.du = op.u - was
+        self.extra = residual[: op.split].reshape(-1, 2) * dt / c
+        Q = op.momentum() + self.extra
         self.D = Q - self.Q - dt * C
         self.Q = Q
         # Eq. (3) and the force of the fluid.
-        self.around, slope, self.curl = (k.mean(self._at_points(part)) for part in op.means())
+        self.around, slope, self.curl = (k.mean(part) for part in op.means())
         pull = b[:, None] * self.around - V[:, None] * slope
         found = alpha[:, None] * (ahead + dt * free[:, None] * pull)
         found[~discs.free] = 0.0
@@ -241,13 +240,11 @@ class Coupling(Fields):
 
     def _stirred(self) -> Float:
         """Viscosity that keeps the Reynolds number of each triangle below `ROUGH` [Pa s], (t,)."""
-        corner, n = self.mesh.triangles, len(self.velocity)
-        flow = self._points_of(self.operator.u)
-        flow[:n] -= self.velocity
-        edge = np.roll(self._corners(), -1, axis=1) - self._corners()
-        h = np.sqrt((edge**2).sum(axis=2)).max(axis=1)
-        speed = np.sqrt((flow**2).sum(axis=1))[corner].max(axis=1)
-        wanted: Float = self.fluid.density * speed * h / ROUGH - self.fluid.viscosity
+        op = self.operator
+        flow = op.u[: len(self.mesh.points)].copy()
+        flow[: len(self.velocity)] -= self.velocity
+        rough = integrals.roughness(op.topology.corners, op.gradient, op.area, flow)
+        wanted: Float = self.fluid.density / ROUGH * rough - self.fluid.viscosity
         return np.maximum(wanted, 0.0)
 
     def _drag(self, omega: float) -> Float:
@@ -294,7 +291,7 @@ class Coupling(Fields):
         one = np.zeros((len(some), n))
         one[np.arange(len(some)), some] = 1.0
         along = g / np.hypot(*g) if g.any() else np.array([1.0, 0.0])
-        psi = np.stack([k.field(row) for row in one])[:, self.grid.vertex]
+        psi = np.stack([k.field(row) for row in one])
         # From rest it takes until then; all forces are taken to act since the start.
         lasts = self.fluid.density * float(self.box.size.min()) ** 2 / self.fluid.viscosity
         lasts = min(lasts, self.time)

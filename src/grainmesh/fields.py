@@ -6,23 +6,25 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Self
 
 import numpy as np
-from ngsolve import BND, InnerProduct, Integrate
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
-from grainmesh.carry import Keys, along_edge, carry, carry_load, lattice, values_at
+from grainmesh.carry import Finder, Keys, Topology, Transfer, along_edge
 from grainmesh.cells import Diagram
 from grainmesh.domain import SIDES, Box
+from grainmesh.element import PAIRS, element, lattice
 from grainmesh.errors import InputError, RunError
 from grainmesh.lagged import Apply, Lagged, gmres, mended
 from grainmesh.medium import Fluid, Inflow, NoSlip, Outlet, Slip
-from grainmesh.mesh import Grid, flow_mesh
+from grainmesh.mesh import flow_mesh
 from grainmesh.navier import Operator
 from grainmesh.nodes import Bounded, bounded
 from grainmesh.spread import spread
 
 Float = NDArray[np.float64]
+Int = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 Arrays = dict[str, NDArray[Any]]
 
 #: Least porosity of a vertex.
@@ -158,15 +160,11 @@ class Fields:
     """
 
     mesh: Bounded
-    grid: Grid
     operator: Operator
-    keys: Keys
-    pressure_keys: Keys
     kernel: Kernel
     time: float
     dt: float
     stirring_since: float
-    _built: Float
     _old: Float
 
     def __init__(
@@ -200,9 +198,8 @@ class Fields:
         self.kernel = self._kernel()
         self._set_sides()
         self._load_porosity()
-        size = self.operator.V.ndof
-        self.extra, self.D, self.du = np.zeros(size), np.zeros(size), np.zeros(size)
-        self.Q = self.operator.vector("momentum")
+        self.extra, self.D, self.du = (np.zeros_like(self.operator.u) for _ in range(3))
+        self.Q = self.operator.momentum()
 
     # --- the state ----------------------------------------------------------------------------
 
@@ -214,7 +211,6 @@ class Fields:
     def arrays(self) -> Arrays:
         """The state as arrays by name."""
         found = {name: getattr(self, name) for name in STATE} | {"x": self.operator.x}
-        found |= {"built": self._built}
         for key, value in vars(self.mesh).items():
             if isinstance(value, np.ndarray):
                 found[f"mesh/{key}"] = value
@@ -246,17 +242,12 @@ class Fields:
             topology: dict[str, Any] = {key: recipe[key] for key in TOPOLOGY}
             now, self.mesh = self.mesh, replace(self.mesh, **topology)
             self._build()
-            self.operator.mesh.ngmesh.Coordinates()[:, :2] = recipe["places"]
             self.operator.load(**{name: recipe[name] for name in MATRIX})
             self.operator.assemble()
             self._make_factor()
             self.factors -= 1
             self.mesh = now
-        latest, self.mesh.points = self.mesh.points, arrays["built"].copy()
         self._build()
-        self.mesh.points = latest
-        self._old = latest.copy()
-        self.operator.mesh.ngmesh.Coordinates()[:, :2] = self._places(latest)
         self.kernel = self._kernel()
         self._load_porosity()
         self.operator.x = arrays["x"]
@@ -269,19 +260,33 @@ class Fields:
         viscosity (largest, over mu; see `coupling.ROUGH`), iterations; of a box with walls, the
         mean dynamic pressure at each side [Pa].
         """
-        op, u = self.operator, self.operator.u
-        energy = 0.5 * op.density * op.eps * InnerProduct(u, u)
+        op = self.operator
         found = {
-            "fluid kinetic": float(Integrate(energy, op.mesh, order=2 * op.order + 1)),
+            "fluid kinetic": 0.5 * float((op.momentum() * op.u).sum()),
             "slip": float(np.hypot(*(self.around - self.velocity).T).mean()),
             "flow step": self.dt,
-            "added viscosity": float(op.stirred.vec.FV().NumPy().max()) / self.fluid.viscosity,
+            "added viscosity": float(op.stirred.max()) / self.fluid.viscosity,
             "iterations": self.iterations,
         }
         for number, side in enumerate(() if self.box.periodic else SIDES):
-            on = op.mesh.Boundaries(side)
-            total = Integrate(op.p, op.mesh, BND, definedon=on, order=op.order)
-            found[f"pressure {side}"] = float(total) / float(self.box.size[1 - number // 2])
+            found[f"pressure {side}"] = self.pressure_at(side) / self.box.size[1 - number // 2]
+        return found
+
+    def pressure_at(self, side: str) -> float:
+        """∫p along a side of a box with walls [N/m], without that of the fluid at rest."""
+        op = self.operator
+        return float(op.along(self._edges(side), op.p[:, None], op.pressure_keys)[0])
+
+    def flux(self, side: str) -> float:
+        """Volume of fluid that leaves through a side, per depth and time, ∫ε u·n [m2/s]."""
+        op, number = self.operator, SIDES.index(side)
+        found = op.along(self._edges(side), op.u, op.keys, op.eps)
+        return float(found[number // 2]) * (1.0 if number % 2 else -1.0)
+
+    def mean(self) -> Float:
+        """Mean superficial velocity of the fluid, ∫ε u over the area of the box [m/s], (2,)."""
+        op = self.operator
+        found: Float = op.momentum()[: op.topology.count].sum(axis=0) / op.density / self.box.area
         return found
 
     def sample(self, cuts: int = 1) -> Sample:
@@ -289,23 +294,20 @@ class Fields:
 
         In a periodic box each triangle has points of its own, and lies where its middle is inside.
         """
-        own, p = self.keys, self.pressure_keys
-        rows = np.arange(len(own.triangles))
+        op, on = self.operator, self.operator.topology
         nodes, pattern = lattice(cuts)
-        now = replace(own, points=self.mesh.points)
-        corners = now.places(rows)
+        corners = on.places(self.mesh.points)
         number: NDArray[np.int64]
         if self.box.periodic:
-            number = np.arange(len(rows) * len(nodes)).reshape(len(rows), -1)
+            number = np.arange(len(corners) * len(nodes)).reshape(len(corners), -1)
         else:
-            found = replace(own, order=cuts, bubble=False).local(rows)
+            found = Keys(on, element(cuts)).rows
             number = np.unique(found, return_inverse=True)[1].reshape(found.shape)
-        u = self.operator.u.vec.FV().NumPy()
         parts = (
             np.einsum("lk,tkc->tlc", nodes, corners),
-            values_at(own, _gathered(self.operator, own, u), nodes),
-            values_at(p, self._pressures(), nodes),
-            np.einsum("lk,tk->tl", nodes, self.kernel.porosity[own.corners])[..., None],
+            op.keys.values(op.u, nodes),
+            op.pressure_keys.values(op.p[:, None], nodes),
+            np.einsum("lk,tk->tl", nodes, self.kernel.porosity[on.corners])[..., None],
         )
         values = [np.empty((number.max() + 1, part.shape[-1])) for part in parts]
         for into, part in zip(values, parts, strict=True):
@@ -318,13 +320,36 @@ class Fields:
             values[0], triangles.reshape(-1, 3), values[1], values[2][:, 0], values[3][:, 0]
         )
 
-    def _pressures(self) -> Float:
-        """Unknowns of the pressure by key (size, 1)."""
-        p, op = self.pressure_keys, self.operator
-        found = np.zeros((p.size, 1))
-        use = op.free[op.V.ndof :] | (not self.box.periodic)
-        found[p.of_mesh[use], 0] = op.p.vec.FV().NumPy()[use]
-        return found
+    def at(self, places: ArrayLike) -> tuple[Float, Float, Float]:
+        """Velocity (q, 2) [m/s], dynamic pressure (q,) [Pa] and porosity (q,) at places (q, 2) [m].
+
+        Raises
+        ------
+        InputError
+            If a place lies outside a box with walls, or is not finite.
+        """
+        x = np.atleast_2d(np.asarray(places, dtype=float))
+        if x.ndim != 2 or x.shape[1] != 2 or not np.isfinite(x).all():
+            raise InputError("flow.at takes places (q, 2) [m], all of them finite")
+        if not self.box.periodic and ((x < 0.0) | (x > self.box.size)).any():
+            raise InputError("flow.at: some places lie outside the box")
+        op, on = self.operator, self.operator.topology
+        t, weight = Finder(on, self.mesh.points, np.arange(len(on.triangles)))(x)
+        u = np.einsum("ql,qlc->qc", op.keys.element.shape(weight), op.u[op.keys.rows[t]])
+        q = op.pressure_keys
+        p = np.einsum("ql,ql->q", q.element.shape(weight), op.p[q.rows[t]])
+        return u, p, np.einsum("qk,qk->q", weight, self.kernel.porosity[on.corners[t]])
+
+    def ngsolve(self) -> tuple[Any, Any, Any]:
+        """Velocity [m/s], dynamic pressure [Pa] and porosity as GridFunctions of NGSolve."""
+        mesh, op = self.mesh, self.operator
+        grid = flow_mesh(self.box, mesh.points, mesh.triangles, mesh.shifts, mesh.neighbours)
+        linear = Keys(op.topology, element(1))
+        return (
+            op.keys.field(grid, op.u),
+            op.pressure_keys.field(grid, op.p),
+            linear.field(grid, self.kernel.porosity),
+        )
 
     def refuse_other(self, fluid: Fluid) -> None:
         """Raise if the mesh or the elements of another fluid would be others."""
@@ -353,7 +378,7 @@ class Fields:
             setattr(self, name, arrays[name])
         self.operator.x = arrays["x"]
         self.mesh.points[:] = self._old
-        self.operator.mesh.ngmesh.Coordinates()[:, :2] = self._places(self._old)
+        self.operator.at(self._old)
         self.kernel = self._kernel()
         self._load_porosity()
 
@@ -361,13 +386,13 @@ class Fields:
 
     def _linear(self, f: Float, inertia: float) -> Float:
         """Solve for the unknowns of the operator; returns what is left of f, 0 where not free."""
-        op, free = self.operator, self.operator.free
+        op, sought = self.operator, self.operator.sought
         h = np.sqrt(self.box.area / len(self.mesh.triangles))
         # Pressures are counted in a unit in which both kinds of equations weigh alike.
         unit = h * (inertia + self.fluid.viscosity / h**2 + float(self.drag.sum()) / self.box.area)
-        scale = np.where(np.arange(len(free)) < op.V.ndof, 1.0, unit) * free
-        x0 = op.x
-        r = scale * (f - op.apply(x0))
+        scale = np.where(np.arange(len(sought)) < op.split, 1.0, unit) * sought
+        f, x = op.condensed(f), op.x
+        r = scale * (f - op.apply(x))
         size = max(float(np.linalg.norm(scale * f)), float(np.linalg.norm(r)))
         goal = max(self.fluid.tolerance * size, 1e-300)
         for attempt in range(2):
@@ -386,17 +411,18 @@ class Fields:
             )
         if self.iterations > FEW and not fresh:
             self._factor, self._recipe = None, {}
-        op.x = self._levelled(lambda x: x)(x0 + scale * delta)
-        residual = f - op.apply(op.x)
-        residual[~free] = 0.0
+        x = self._levelled(lambda x: x)(x + scale * delta)
+        op.completed(f, x)
+        op.x = x
+        residual = f - op.apply(x)
+        residual[~sought] = 0.0
         return residual
 
     def _levelled(self, solve: Apply) -> Apply:
         """The same with a mean pressure of 0, where nothing else gives it a level."""
         if not self.box.periodic and self.fluid.names(Outlet):
             return solve
-        op, split = self.operator, self.operator.V.ndof
-        level = split + np.flatnonzero(op.free[split:][: len(self.grid.vertex)])
+        level = self.operator.split + np.flatnonzero(self.operator.topology.used)
 
         def levelled(f: Float) -> Float:
             x = solve(f)
@@ -408,45 +434,33 @@ class Fields:
     def _make_factor(self) -> None:
         """A factor of the matrix at hand, and all that is needed to make it again."""
         op, mesh = self.operator, self.mesh
-        self._factor = op.factor(self._names())
-        self._factor_faces = self.keys.faces
+        self._factor, self._factor_faces = op.factor(op.names), op.topology.faces
         self.factors += 1
-        fields = {name: getattr(op, name) for name in MATRIX}
         self._recipe = {key: np.array(getattr(mesh, key)) for key in TOPOLOGY}
-        self._recipe |= {key: np.array(f.vec.FV().NumPy()) for key, f in fields.items()}
-        self._recipe["points"] = self._built.copy()
-        self._recipe["places"] = np.array(op.mesh.ngmesh.Coordinates())[:, :2]
+        self._recipe |= {key: getattr(op, key).copy() for key in MATRIX}
 
     def _preconditioner(self) -> Apply:
         """The factor at hand, mended on the triangles that have come since it was made."""
-        op = self.operator
+        op, on = self.operator, self.operator.topology
         assert self._factor is not None
-        first = self._factor.preconditioner(np.where(op.free, self._names(), -1))
-        fresh = np.flatnonzero(~np.isin(self.keys.faces_of_triangles, self._factor_faces))
-        if len(fresh) == 0:
+        first = self._factor.preconditioner(np.where(op.sought, op.names, -1))
+        fresh = ~np.isin(on.numbers, self._factor_faces)
+        if not fresh.any():
             return first
-        near = np.zeros(len(self.mesh.points), dtype=bool)
-        near[self.mesh.triangles[fresh]] = True
-        fresh = np.flatnonzero(near[self.mesh.triangles].any(axis=1))
-        inside = []
-        for keys, parts in ((self.keys, 2), (self.pressure_keys, 1)):
-            there = np.zeros(keys.size, dtype=bool)
-            there[keys.local(fresh)] = True
-            inside.append(np.tile(there[keys.of_mesh], parts))
-        return mended(first, op.apply, *op.blocks, np.concatenate(inside) & op.free)
-
-    def _names(self) -> NDArray[np.int64]:
-        """Names of the unknowns of u_x, u_y and p."""
-        own, p = self.keys, self.pressure_keys
-        of_u = 3 * own.names[own.of_mesh]
-        return np.concatenate([of_u, of_u + 1, 3 * p.names[p.of_mesh] + 2])
+        near = np.zeros(on.count, dtype=bool)
+        near[on.corners[fresh]] = True
+        inside = np.zeros_like(op.free)
+        inside[op.rows[near[on.corners].any(axis=1)]] = True
+        inside &= op.sought
+        number = np.arange(len(inside))
+        patch = op.factor(number, inside)
+        return mended(first, op.apply, patch.preconditioner(np.where(inside, number, -1)))
 
     # --- the mesh -----------------------------------------------------------------------------
 
     def _build(self) -> None:
         """Finite elements on the present triangulation."""
         mesh, fluid = self.mesh, self.fluid
-        arrays = mesh.points, mesh.triangles, mesh.shifts
         if self.box.periodic:
             pairs = np.sort(mesh.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
             pairs = np.unique(pairs, axis=0)
@@ -455,51 +469,74 @@ class Fields:
                     "the periodic box holds too few particles for a mesh: repeat it, so that no "
                     "particle is joined to itself, or to another twice"
                 )
-        self.grid = flow_mesh(self.box, *arrays, mesh.neighbours)
-        self._built, self._old = mesh.points.copy(), mesh.points.copy()
+        self._old = mesh.points.copy()
+        on = Topology(self.box, len(mesh.points), mesh.triangles.copy(), mesh.shifts.copy())
+        own = Keys(on, element(fluid.order, fluid.order == 1))
+        other = Keys(on, element(max(fluid.order - 1, 1)))
+        held, level = np.zeros((own.size, 2), dtype=bool), np.zeros(other.size, dtype=bool)
+        outlets, inlets = [], []
+        self._boundary = {} if self.box.periodic else self._boundary_of(on)
+        for number, (side, edges) in enumerate(self._boundary.items()):
+            kind, axis, rows = fluid.side(side), number // 2, _on(own, edges)
+            if isinstance(kind, Slip):
+                held[rows, axis] = True
+            elif isinstance(kind, Outlet):
+                held[rows, 1 - axis] = True
+                level[_on(other, edges)] = True
+                outlets.append(edges)
+            else:
+                held[rows] = True
+                inlets.append(edges)
+        none = np.empty((0, 2), np.int64)
         self.operator = Operator(
-            self.grid.mesh,
-            fluid.order,
-            fluid.viscosity,
-            fluid.density,
-            *((), (), ()) if self.box.periodic
-            else (fluid.names(Outlet), fluid.names(Slip), fluid.names(NoSlip, Inflow)),
+            on, mesh.points, fluid.order, fluid.viscosity, fluid.density, held, level,
+            np.concatenate([none, *outlets]), np.concatenate([none, *inlets]),
         )  # fmt: skip
-        about = self.box, self._old, mesh.triangles.copy(), mesh.shifts.copy(), self.grid
-        self.keys = Keys(*about, fluid.order, fluid.order == 1)
-        self.pressure_keys = Keys(*about, max(fluid.order - 1, 1))
+
+    def _boundary_of(self, on: Topology) -> dict[str, Int]:
+        """Edges of each side: number of a triangle, and which of its edges 01, 02, 12."""
+        mesh, found = self.mesh, {}
+        t, k = np.nonzero(mesh.neighbours < 0)
+        opposite = mesh.triangles[t, k]
+        which = 2 - (on.corners[t] < opposite[:, None]).sum(axis=1)
+        ends = on.corners[t[:, None], PAIRS[which]]
+        for number, side in enumerate(SIDES):
+            axis, end = divmod(number, 2)
+            there = (mesh.points[ends, axis] == end * self.box.size[axis]).all(axis=1)
+            found[side] = np.column_stack([t, which])[there]
+        return found
+
+    def _edges(self, side: str) -> Int:
+        """Edges of one side of a box with walls."""
+        if side not in self._boundary:
+            raise InputError(f"side '{side}' must be one of {', '.join(self._boundary) or 'none'}")
+        return self._boundary[side]
 
     def _remesh(self) -> None:
         """Carry all fields to the triangulation that `mesh` has become."""
-        old_op, old_keys, old_p = self.operator, self.keys, self.pressure_keys
-        loads = [_gathered(old_op, old_keys, values) for values in (self.extra, self.D)]
-        fields = [_gathered(old_op, old_keys, v) for v in (old_op.u.vec.FV().NumPy(), self.du)]
-        p = self._pressures()
-        old_porosity = self.kernel.porosity
-        before = _gathered(old_op, old_keys, self.Q)[: len(old_porosity)]
+        old = self.operator
+        old_porosity, m = self.kernel.porosity, len(self.kernel.porosity)
         self._build()
-        op, keys = self.operator, self.keys
-        u, du = (_spread_out(keys, carry(old_keys, keys, values)) for values in fields)
-        op.u.vec.FV().NumPy()[:], self.du = u, du
-        op.p.vec.FV().NumPy()[:] = carry(old_p, self.pressure_keys, p)[
-            self.pressure_keys.of_mesh, 0
-        ]
-        loads = [carry_load(old_keys, keys, values) for values in loads]
-        used = np.zeros(len(old_porosity), dtype=bool)
-        used[keys.triangles] = True
-        lost = np.where(used[:, None], 0.0, loads[1][: len(used)])  # of nodes that have left
-        for load in loads:
-            load[: len(used)][~used] = 0.0
+        op = self.operator
+        over = Transfer(old.topology, op.topology, self.mesh.points)
+        fields = over.fields(old.keys, op.keys, np.column_stack([old.u, self.du]))
+        op.u[:], self.du = fields[:, :2], fields[:, 2:].copy()
+        op.p[:] = over.fields(old.pressure_keys, op.pressure_keys, old.p[:, None])[:, 0]
+        loads = over.loads(old.keys, op.keys, np.column_stack([self.extra, self.D]))
+        used = op.topology.used
+        lost = np.where(used[:, None], 0.0, loads[:m, 2:])  # of nodes that have left
+        loads[:m][~used] = 0.0
         self.kernel = self._kernel(self.kernel.cells)
         self._load_porosity()
         self._set_sides()
-        moved = np.abs(self.kernel.porosity - old_porosity) > 1e-13
-        weight = self.kernel.porosity * self.kernel.hats
-        momentum = op.vector("momentum")
-        after = _gathered(op, keys, momentum)[: len(weight)] + loads[0][: len(weight)]
-        for load, missing in zip(loads, (before - after, lost), strict=True):
-            load[: len(weight)] += _made_up(old_keys, keys, missing, moved, weight)
-        self.extra, self.D = (_load_of(op, keys, values) for values in loads)
+        changed = np.abs(self.kernel.porosity - old_porosity) > 1e-13
+        changed[op.topology.corners[over.fresh]] = True
+        changed[old.topology.corners[over.gone]] = True
+        weight = self.kernel.porosity * self.kernel.hats * used
+        momentum = op.momentum()
+        missing = np.column_stack([self.Q[:m] - momentum[:m] - loads[:m, :2], lost])
+        loads[:m] += _made_up(old.topology, op.topology, missing, changed, weight)
+        self.extra, self.D = loads[:, :2].copy(), loads[:, 2:].copy()
         self.Q = momentum + self.extra
 
     def _kernel(self, cells: Diagram | None = None) -> Kernel:
@@ -530,79 +567,50 @@ class Fields:
         found: Float = mesh.points[mesh.triangles] + mesh.shifts * mesh.period
         return found
 
-    def _places(self, points: Float) -> Float:
-        """Coordinates of the vertices of the finite-element mesh [m], (v, 2)."""
-        found: Float = points[self.grid.vertex] + self.grid.shift * self.box.size
-        return found
-
     def _load_porosity(self) -> None:
-        self.operator.load(eps=self.kernel.porosity[self.grid.vertex])
-
-    def _at_points(self, moments: Float) -> Float:
-        """Moments with the hats of the points, (m, 2) or (m,), from those of the vertices."""
-        vertex, m = self.grid.vertex, len(self.mesh.points)
-        if moments.ndim == 1:
-            return np.bincount(vertex, moments, m).astype(float)
-        return np.stack([np.bincount(vertex, part, m) for part in moments.T], axis=1)
-
-    def _points_of(self, field: Any) -> Float:
-        """Values of a velocity at the points (m, 2); 0 at those that are no vertex."""
-        v = len(self.grid.vertex)
-        found = np.zeros((len(self.mesh.points), 2))
-        values = field.vec.FV().NumPy().reshape(2, -1)[:, :v].T
-        first = np.unique(self.grid.vertex, return_index=True)[1]  # slaves hold no values
-        found[self.grid.vertex[first]] = values[first]
-        return found
+        self.operator.load(eps=self.kernel.porosity)
 
     def _set_sides(self) -> None:
         """Velocity and pressure that are given at the sides, at the present time."""
         if self.box.periodic:
             return
-        op, keys, fluid = self.operator, self.keys, self.fluid
-        given, through = np.zeros((keys.size, 2)), np.zeros((keys.size, 2))
-        t, k = np.nonzero(self.mesh.neighbours < 0)
-        corner = self.mesh.triangles
-        ends = np.stack([corner[t, (k + 1) % 3], corner[t, (k + 2) % 3]], axis=1).astype(np.int64)
-        ends.sort(axis=1)
+        op, fluid = self.operator, self.fluid
+        on, own = op.topology, op.keys
+        given, through = np.zeros_like(op.u), np.zeros_like(op.u)
         along = np.linspace(0.0, 1.0, fluid.order + 1)[:, None]
-        a, b = self.mesh.points[ends[:, 0], None], self.mesh.points[ends[:, 1], None]
-        place = (1.0 - along) * a + along * b  # (e, k + 1, 2)
-        eps = self.kernel.porosity[ends]
-        eps = (1.0 - along[:, 0]) * eps[:, :1] + along[:, 0] * eps[:, 1:]
-        p = np.zeros(len(self.mesh.points))
         kinds = sorted(
             enumerate(map(fluid.side, SIDES)), key=lambda item: isinstance(item[1], NoSlip)
         )  # at corners walls have the last word
         for side, kind in kinds:
-            axis, end = divmod(side, 2)
-            on = (place[:, [0, -1], axis] == end * self.box.size[axis]).all(axis=1)
+            edges = self._boundary[SIDES[side]]
+            ends = on.corners[edges[:, :1], PAIRS[edges[:, 1]]]
             if isinstance(kind, Outlet):
-                p[ends[on]] = kind.pressure
+                op.p[_on(op.pressure_keys, edges)] = 0.0
+                op.p[ends] = kind.pressure
                 continue
             if isinstance(kind, Slip):
                 continue
-            value, volume = (np.zeros((on.sum(), fluid.order + 1, 2)) for _ in range(2))
+            a, b = self.mesh.points[ends[:, 0], None], self.mesh.points[ends[:, 1], None]
+            value, volume = (np.zeros((len(ends), fluid.order + 1, 2)) for _ in range(2))
             if isinstance(kind, NoSlip):
-                value[..., 1 - axis] = kind.speed
+                value[..., 1 - side // 2] = kind.speed
             else:
-                volume[:] = kind.at(place[on].reshape(-1, 2), self.time).reshape(value.shape)
-                value = volume / eps[on][..., None]
-            edge = np.searchsorted(keys.edges, keys._edge(ends[on]))
-            none = np.empty((len(edge), 0), np.int64)
-            where = keys.unknowns(ends[on], edge[:, None], none)
-            given[where] = along_edge(fluid.order, value)
+                place = (1.0 - along) * a + along * b  # (e, k + 1, 2)
+                volume[:] = kind.at(place.reshape(-1, 2), self.time).reshape(value.shape)
+                eps = self.kernel.porosity[ends]
+                value = (
+                    volume
+                    / ((1.0 - along[:, 0]) * eps[:, :1] + along[:, 0] * eps[:, 1:])[..., None]
+                )
+            where = _on(own, edges)
+            given[where] = along_edge(own.element, value)
             if isinstance(kind, Inflow):  # all of it, though walls hold the fluid at corners
-                through[where] = along_edge(fluid.order, volume)
-        held = ~op.free
-        split = op.V.ndof
-        u, pressure = op.u.vec.FV().NumPy(), op.p.vec.FV().NumPy()
-        u[held[:split]] = given[keys.of_mesh].T.ravel()[held[:split]]
-        op.given.vec.FV().NumPy()[:] = through[keys.of_mesh].T.ravel()
-        level = np.zeros(self.pressure_keys.size)
-        level[: len(p)] = p
-        pressure[held[split:]] = level[self.pressure_keys.of_mesh][held[split:]]
+                through[where] = along_edge(own.element, volume)
+        held = ~op.free[: op.split].reshape(-1, 2)
+        op.u[held] = given[held]
+        self._through = through
         if fluid.names(Inflow):
-            flux = op.vector("inflow")[: len(self.grid.vertex)]
+            flux = op.inflow(through)[: on.count]
             net, gross = float(flux.sum()), float(np.abs(flux).sum())
             if not fluid.names(Outlet) and abs(net) > 1e-6 * gross:
                 raise InputError(
@@ -612,61 +620,39 @@ class Fields:
                 )
 
 
+def _on(keys: Keys, edges: Int) -> Int:
+    """Unknowns of the two ends and of the edge, for edges (b, 2) of triangles, (b, k + 1)."""
+    per_edge = keys.element.counts[0]
+    t, k = edges.T
+    own = 3 + k[:, None] * per_edge + np.arange(per_edge)
+    found: Int = keys.rows[t[:, None], np.concatenate([PAIRS[k], own], axis=1)]
+    return found
+
+
 def _scaled(apply: Apply, precondition: Apply, scale: Float) -> tuple[Apply, Apply]:
     """D K D and D⁻¹ P D⁻¹, with 0 where the scale D is."""
     back = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0.0)
     return lambda z: scale * apply(scale * z), lambda r: back * precondition(back * r)
 
 
-def _gathered(op: Operator, keys: Keys, values: Float) -> Float:
-    """Unknowns of a velocity by key, (size, 2)."""
-    found = np.zeros((keys.size, 2))
-    parts = values.reshape(2, -1)
-    use = np.ones(parts.shape[1], bool)
-    if keys.box.periodic:  # images hold no values
-        use = op.free[: op.V.ndof].reshape(2, -1)[0]
-    found[keys.of_mesh[use]] = parts.T[use]
-    return found
-
-
-def _spread_out(keys: Keys, values: Float) -> Float:
-    """Unknowns of a velocity on the finite-element mesh, images too."""
-    return values[keys.of_mesh].T.ravel()
-
-
-def _load_of(op: Operator, keys: Keys, values: Float) -> Float:
-    """A load vector on the finite-element mesh, images empty."""
-    found = _spread_out(keys, values)
-    if keys.box.periodic:
-        found[~op.free[: op.V.ndof]] = 0.0
-    return found
-
-
-def _made_up(
-    old: Keys, new: Keys, missing: Float, moved: NDArray[np.bool_], weight: Float
-) -> Float:
-    """Momentum to add at the points (m, 2), so that each region that changed keeps its own.
+def _made_up(old: Topology, new: Topology, missing: Float, changed: Mask, weight: Float) -> Float:
+    """Momentum to add at the points (m, c), so that each region that changed keeps its own.
 
     Regions are sets of points, linked by edges, whose porosity or triangles have changed, and the
-    corners of all triangles around them; `missing` (m, 2) is the momentum that their hats have
+    corners of all triangles around them; `missing` (m, c) is the momentum that their hats have
     lost, spread over a region by `weight` (m,).
     """
-    m = len(new.points)
-    changed = moved.copy()
-    for one, other in ((old, new), (new, old)):
-        changed[one.triangles[~np.isin(one.faces_of_triangles, other.faces)]] = True
+    m = new.count
     links = [
-        keys.triangles[changed[keys.triangles].any(axis=1)][:, [[0, 1], [1, 2]]].reshape(-1, 2)
-        for keys in (old, new)
+        on.corners[changed[on.corners].any(axis=1)][:, [[0, 1], [1, 2]]].reshape(-1, 2)
+        for on in (old, new)
     ]
     i, j = np.concatenate(links).T
     graph = coo_array((np.ones(len(i), np.int8), (i, j)), shape=(m, m))
     count, region = connected_components(graph, directed=False)
     inside = np.zeros(m, dtype=bool)
     inside[i] = inside[j] = True
-    used = np.zeros(m, dtype=bool)
-    used[new.triangles] = True
-    heavy = np.where(inside & used, weight, 0.0)
+    heavy = np.where(inside, weight, 0.0)
     share = np.divide(
         heavy, np.bincount(region, heavy, count)[region], where=heavy > 0.0, out=heavy
     )
@@ -675,4 +661,4 @@ def _made_up(
     return found
 
 
-__all__ = ["Discs", "Fields", "Kernel"]
+__all__ = ["Discs", "Fields", "Kernel", "Sample"]

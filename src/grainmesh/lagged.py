@@ -3,9 +3,10 @@ r"""A factor kept from step to step as preconditioner of GMRES, while matrix and
     [ A   Bᵀ ] [u]   [f]
     [ B  -S  ] [p] = [g]
 
-An indefinite factor cannot precondition MINRES; GMRES takes it. Unknowns are known by name
-(`grainmesh.carry`). On triangles that have come since the factor was made a second, small system
-is solved for what the factor leaves,
+An indefinite factor cannot precondition MINRES; GMRES takes it. A zero on the diagonal is no
+pivot, so the pressures get a little of their own stiffness, as in `grainmesh.saddle`. Unknowns are
+known by name (`grainmesh.carry`). On triangles that have come since the factor was made a second,
+small system is solved for what the factor leaves,
 
     z = P r,    z += Rᵀ (R K Rᵀ)⁻¹ R (r - K z),                                               (1)
 
@@ -18,26 +19,22 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from ngsolve import GetNumThreads, SetNumThreads
+from ngsolve import GetNumThreads, SetNumThreads, TaskManager
+from ngsolve.la import SparseMatrixd
 from numpy.typing import NDArray
+from pyngcore import Array_D_S, Array_I_S
 from scipy.linalg import solve_triangular
-from scipy.sparse import block_array, csr_array, diags_array
-from scipy.sparse.linalg import splu
+from scipy.sparse import coo_array
 
-from grainmesh.saddle import PIVOT, SaddleFactor
+from grainmesh.saddle import PIVOT
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 Apply = Callable[[Float], Float]
 
-#: Factors of more unknowns are made by all threads; of fewer, equal input gives equal bits.
+#: Factors of more unknowns are for all threads; of fewer, equal input gives equal bits.
 MANY = 40_000
-
-
-def csr(matrix: Any) -> csr_array:
-    """An NGSolve matrix as one of SciPy, not copied."""
-    values, columns, start = (np.asarray(part) for part in matrix.CSR())
-    return csr_array((values, columns, start.astype(np.int64)), (matrix.height, matrix.width))
 
 
 class Lagged:
@@ -45,28 +42,61 @@ class Lagged:
 
     Parameters
     ----------
-    matrix : ngsolve.SparseMatrix
-        The whole matrix.
+    K : (t, n, n)
+        Symmetric matrices of the triangles; those larger than `rows` are cut.
+    rows : (t, n)
+        Their unknowns.
+    inside : (N,) bool
+        Unknowns to solve for.
     first : int
         Number of the first pressure.
-    free : ngsolve.BitArray
-        Unknowns to solve for.
     names : (N,) int
-        Names of all unknowns; images of one unknown that are not free may share its name.
+        Names of all unknowns.
     """
 
-    def __init__(self, matrix: Any, first: int, free: Any, names: Int) -> None:
+    def __init__(self, K: Float, rows: Int, inside: Mask, first: int, names: Int) -> None:
+        kept = np.flatnonzero(inside)
+        number = np.full(len(inside), -1)
+        number[kept] = np.arange(len(kept))
+        there = inside[rows].any(axis=1)
+        n, local = rows.shape[1], number[rows if there.all() else rows[there]]
+        i = np.repeat(local, n, axis=1).ravel()
+        j = np.tile(local, (1, n)).ravel()
+        values = (K if there.all() else K[there])[:, :n, :n].reshape(-1)
+        both = (i >= 0) & (j >= 0)
+        if not both.all():
+            i, j, values = i[both], j[both], values[both]
+        matrix = coo_array((values, (i, j)), shape=(len(kept), len(kept))).tocsr()
+        # ``PIVOT`` diag(B diag(A)⁻¹ Bᵀ) for the pressures.
+        split, diagonal = int(np.searchsorted(kept, first)), matrix.diagonal()
+        B = matrix[split:, :split]
+        own = np.zeros(len(kept))
+        own[split:] = (B**2) @ (1.0 / diagonal[:split])
+        whole = matrix.tocoo()
+        values = whole.data.copy()
+        at = whole.row == whole.col
+        values[at] -= PIVOT * own[whole.row[at]]
+        i, j = whole.row, whole.col
+        missing = np.flatnonzero(np.bincount(i[at], minlength=len(kept)) == 0)
+        i, j = np.append(i, missing), np.append(j, missing)
+        values = np.append(values, -PIVOT * own[missing])
         # The factor of several threads is another one each time, by round-off.
-        count = GetNumThreads()
-        SetNumThreads(count if matrix.height > MANY else 1)
-        try:
-            self._inverse = SaddleFactor(matrix, first, free).inverse
-        finally:
-            SetNumThreads(count)
-        self._f, self._x = matrix.CreateColVector(), matrix.CreateColVector()
-        rows = np.flatnonzero(np.asarray(free))
-        order = np.argsort(names[rows])
-        self._names, self._place = names[rows][order], rows[order]
+        self._many, count = len(kept) > MANY, GetNumThreads()
+        made = SparseMatrixd.CreateFromCOO(
+            _array(Array_I_S, i), _array(Array_I_S, j), _array(Array_D_S, values), *whole.shape
+        )
+        if self._many:
+            with TaskManager():
+                self._inverse = made.Inverse(inverse="sparsecholesky")
+        else:
+            SetNumThreads(1)
+            try:
+                self._inverse = made.Inverse(inverse="sparsecholesky")
+            finally:
+                SetNumThreads(count)
+        self._f, self._x = made.CreateColVector(), made.CreateColVector()
+        order = np.argsort(names[kept])
+        self._names, self._place = names[kept][order], order
 
     def preconditioner(self, names: Int) -> Apply:
         """P of Eq. (1) for unknowns of these names; 0 for those that it does not have."""
@@ -79,25 +109,29 @@ class Lagged:
             z = np.zeros_like(r)
             f[:] = 0.0
             f[place] = r[known]
-            self._x.data = self._inverse * self._f  # one thread: to wake others takes longer
+            if self._many:
+                with TaskManager():
+                    self._x.data = self._inverse * self._f
+            else:
+                self._x.data = self._inverse * self._f
             z[known] = x[place]
             return z
 
         return apply
 
 
-def mended(first: Apply, apply: Apply, a: Any, b: Any, s: Any, inside: NDArray[np.bool_]) -> Apply:
-    """Eq. (1), from P and K, for the unknowns `inside` (N,) of blocks of the matrix."""
-    split = a.shape[0]
-    rows = np.flatnonzero(inside)
-    u, p = rows[rows < split], rows[rows >= split] - split
-    A, B, S = a[u][:, u], b[p][:, u], s[p][:, p]
-    own = (B**2) @ (1.0 / A.diagonal())
-    patch = splu(block_array([[A, B.T], [B, -S - diags_array(PIVOT * own)]], format="csc"))
+def _array(kind: Any, values: NDArray[Any]) -> Any:
+    found = kind(len(values))
+    found.NumPy()[:] = values
+    return found
+
+
+def mended(first: Apply, apply: Apply, patch: Apply) -> Apply:
+    """Eq. (1), from P, K and Rᵀ (R K Rᵀ)⁻¹ R."""
 
     def both(r: Float) -> Float:
         z = first(r)
-        z[rows] += patch.solve((r - apply(z))[rows])
+        z += patch(r - apply(z))
         return z
 
     return both
@@ -158,4 +192,4 @@ def gmres(
     return sum(c * z for c, z in zip(y, kept, strict=True)), count, abs(float(g[count]))
 
 
-__all__ = ["Apply", "Lagged", "csr", "gmres", "mended"]
+__all__ = ["Apply", "Lagged", "gmres", "mended"]

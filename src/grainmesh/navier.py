@@ -34,172 +34,270 @@ the matrix sparse. What is too much is taken from the fields x' of the last step
 
 so it vanishes in steady flow, and is of the order of the change in a step otherwise.
 
-The elements are Taylor-Hood P_k/P_{k-1}, MINI for k = 1. The matrix of (1) and (2) is symmetric,
-an L D Lᵀ of it serves as preconditioner until too much has changed.
+The elements are Taylor-Hood P_k/P_{k-1}, MINI for k = 1, on straight triangles, where all integrals
+are exact. Matrices are kept triangle by triangle, which costs nothing anew when edges flip, and the
+unknowns inside of triangles are eliminated there. What is left is symmetric, an L D Lᵀ of it serves
+as preconditioner until too much has changed.
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from ngsolve import (
-    H1,
-    L2,
-    BilinearForm,
-    CoefficientFunction,
-    Grad,
-    GridFunction,
-    IfPos,
-    InnerProduct,
-    LinearForm,
-    Sym,
-    VectorH1,
-    div,
-    ds,
-    dx,
-    grad,
-    specialcf,
-)
 from numpy.typing import NDArray
 
-from grainmesh.lagged import Lagged, csr
-from grainmesh.mesh import spaces
-from grainmesh.saddle import SaddleFactor, threads
+from grainmesh import integrals
+from grainmesh.carry import Keys, Topology
+from grainmesh.element import (
+    Element,
+    divergences,
+    edge_rule,
+    element,
+    masses,
+    rule,
+    slopes,
+)
+from grainmesh.lagged import Lagged, gmres
 
 Float = NDArray[np.float64]
+Int = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+HATS = Element(1)
+#: Residual of the flow by single forces.
+MOBILITY_TOLERANCE, MOST = 1e-9, 40
 
 
 class Operator:
-    """Equations (1) to (3) on one mesh; its vertices may move.
+    """Equations (1) to (3) on one triangulation; its points may move.
 
     Parameters
     ----------
-    mesh : ngsolve.Mesh
+    topology : Topology
+    points : (m, 2)
+        [m]
     order : int
         k >= 1.
-    pressure, slip, no_slip : tuple of str
-        Boundaries where the pressure is given and the flow at right angles; where flow is
-        tangential without friction; where the velocity is given.
+    viscosity, density : float
+        [Pa s], [kg/m3].
+    held : (size, 2) bool, optional
+        Unknowns of the velocity that are given.
+    level : (size,) bool, optional
+        Unknowns of the pressure that are given.
+    outlets, inlets : (b, 2) int, optional
+        Edges through which momentum leaves, and through which a given flow comes in: numbers of a
+        triangle, and 0, 1 or 2 for its edge 01, 02 or 12, corners rising.
 
     Attributes
     ----------
-    u, p : ngsolve.GridFunction
-        Velocity [m/s] and pressure [Pa].
-    eps, inertia, E, S, f, g : ngsolve.GridFunction
+    keys, pressure_keys : Keys
+        Where the unknowns live.
+    u, p : (size, 2), (size,)
+        Unknowns of velocity [m/s] and pressure [Pa].
+    eps, inertia, E, S : (m,)
         Linear fields: porosity, c ρ ε/Δt + B, and those of Eqs. (1), (2).
-    dE, dS : ngsolve.GridFunction
+    f, g, w : (m, 2)
+        Linear fields: those of Eqs. (1), (2), and the velocity of the mesh.
+    dE, dS : (m,)
         The parts of E and S that act by averages, Eq. (5), linear.
-    stirred : ngsolve.GridFunction
-        Viscosity besides mu, constant on triangles [Pa s].
-    given : ngsolve.GridFunction
-        Superficial velocity ε u at the boundary [m/s].
-    free : ndarray, shape (N,)
-        Unknowns of velocity, then of pressure, that are solved for.
+    stirred : (t,)
+        Viscosity besides mu [Pa s].
+    free : (N,)
+        Unknowns, u_x and u_y in turn and then p, that are solved for.
     """
 
     def __init__(
         self,
-        mesh: Any,
+        topology: Topology,
+        points: Float,
         order: int,
         viscosity: float,
         density: float,
-        pressure: tuple[str, ...] = (),
-        slip: tuple[str, ...] = (),
-        no_slip: tuple[str, ...] = (),
+        held: Mask | None = None,
+        level: Mask | None = None,
+        outlets: Int | None = None,
+        inlets: Int | None = None,
     ) -> None:
-        self.mesh, self.order, self.viscosity, self.density = mesh, order, viscosity, density
-        self.V, self.Q = spaces(mesh, order, pressure, slip, no_slip)
-        self.P1, self.W = H1(mesh, order=1), VectorH1(mesh, order=1)
-        self.u, self.p = GridFunction(self.V), GridFunction(self.Q)
-        self.foretold, self.w = GridFunction(self.V), GridFunction(self.W)
-        self.eps, self.inertia, self.E, self.S = (GridFunction(self.P1) for _ in range(4))
-        self.dE, self.dS = GridFunction(self.P1), GridFunction(self.P1)
-        self.stirred, self.given = GridFunction(L2(mesh, order=0)), GridFunction(self.V)
-        self.f, self.g = GridFunction(self.W), GridFunction(self.W)
-        self.free = np.concatenate([np.asarray(X.FreeDofs()) for X in (self.V, self.Q)])
-        self._forms(pressure, no_slip)
+        self.topology, self.order = topology, order
+        self.viscosity, self.density = viscosity, density
+        self.keys = Keys(topology, element(order, order == 1))
+        self.pressure_keys = Keys(topology, element(max(order - 1, 1)))
+        none = np.empty((0, 2), np.int64)
+        self.outlets = none if outlets is None else outlets
+        self.inlets = none if inlets is None else inlets
+        m, t = topology.count, len(topology.triangles)
+        own, other = self.keys, self.pressure_keys
+        self.split = 2 * own.size
+        self.u, self.p = np.zeros((own.size, 2)), np.zeros(other.size)
+        self.eps, self.inertia, self.E, self.S, self.dE, self.dS = np.zeros((6, m))
+        self.f, self.g, self.w = np.zeros((3, m, 2))
+        self.stirred = np.zeros(t)
+        # u of the outer unknowns of a triangle, p, and the rest of u
+        outer, rows = 3 * order, own.rows
+        both = 2 * rows[..., None] + np.arange(2)
+        self.outer = 2 * outer + other.rows.shape[1]
+        self.rows = np.concatenate(
+            [
+                both[:, :outer].reshape(t, -1),
+                self.split + other.rows,
+                both[:, outer:].reshape(t, -1),
+            ],
+            axis=1,
+        )
+        self.free = np.zeros(self.split + other.size, dtype=bool)
+        self.free[self.rows] = True
+        self.within = np.zeros_like(self.free)  # the inner unknowns
+        self.within[self.rows[:, self.outer :]] = True
+        for given, at in ((held, slice(None, self.split)), (level, slice(self.split, None))):
+            if given is not None:
+                self.free[at] &= ~given.ravel()
+        self.at(points)
 
-    def _forms(self, pressure: tuple[str, ...], no_slip: tuple[str, ...]) -> None:
-        u, v = self.V.TnT()
-        p, q = self.Q.TnT()
-        rho, eps, once = self.density, self.eps, dx(bonus_intorder=1)
-        degree = max(self.order, 3 if self.order == 1 else 2)  # of u, a bubble included
-        self.a = BilinearForm(self._viscous(u, v) * once)
-        self.b = BilinearForm(trialspace=self.V, testspace=self.Q)
-        self.b += self.E * InnerProduct(u, grad(q)) * once
-        self.s = BilinearForm(self.S * InnerProduct(grad(p), grad(q)) * once)
-        self._momentum = LinearForm(
-            rho * eps * InnerProduct(self.u, v) * dx(bonus_intorder=degree + 1)
-        )
-        e, w = self.foretold, self.w
-        self._convection = LinearForm(
-            rho * eps * InnerProduct(e, Grad(v) * (e - w)) * dx(bonus_intorder=2 * degree)
-        )
-        one = CoefficientFunction((1.0, 1.0))
-        self._mass = LinearForm(rho * eps * InnerProduct(one, v) * dx(bonus_intorder=1))
-        self._mass_flux = LinearForm(
-            rho * eps * InnerProduct(one, Grad(v) * (e - w)) * dx(bonus_intorder=degree)
-        )
-        if pressure:  # what flows out takes its momentum with it; what flows in had none
-            out = e * specialcf.normal(2)
-            out = -rho * eps * IfPos(out, out, 0.0)
-            on = ds("|".join(pressure), bonus_intorder=2 * degree)
-            self._convection += out * InnerProduct(e, v) * on
-            self._mass_flux += out * InnerProduct(one, v) * on
-        self._inflow = LinearForm(self.Q)
-        if no_slip:
-            self._inflow += (self.given * specialcf.normal(2)) * q * ds("|".join(no_slip))
-        (v, q), Du = (self.V * self.Q).TestFunction(), Grad(self.u)
-        # Eq. (5): E and S act on averages over kernels, which f and g hold for the fields at hand.
-        f = self.f + self.dE * grad(self.p)
-        g = self.g - self.dE * self.u + self.dS * grad(self.p)
-        self._source = LinearForm(
-            (InnerProduct(f, v) - InnerProduct(g, grad(q))) * dx(bonus_intorder=degree)
-        )
-        z, y, c = (self.W * self.W * self.P1).TestFunction()
-        self._means = LinearForm(
-            (InnerProduct(self.u, z) + InnerProduct(grad(self.p), y) + (Du[1, 0] - Du[0, 1]) * c)
-            * dx(bonus_intorder=degree)
-        )
+    def at(self, points: Float) -> None:
+        """Move the points to (m, 2) [m]."""
+        self.gradient, self.area = integrals.gradients(self.topology.places(points))
 
-    def vector(self, form: str) -> Float:
-        """A load vector of Eqs. (1), (2): momentum and convection of V, source of V and Q, inflow
-        of Q.
-        """  # fmt: skip
-        with threads(self.mesh):
-            return np.array(getattr(self, "_" + form).Assemble().vec.FV().NumPy())
+    def load(self, **fields: Float) -> None:
+        """Set linear fields to values (m,) or (m, 2) at the points."""
+        for name, values in fields.items():
+            getattr(self, name)[:] = values
+
+    # --- load vectors -------------------------------------------------------------------------
+
+    def momentum(self) -> Float:
+        """∫ρ ε u·v, (size, 2)."""
+        return self.density * self._weighted(self.u)
+
+    def mass(self) -> Float:
+        """∫ρ ε v for each component, (size,)."""
+        one = np.zeros((self.keys.size, 1))
+        one[: len(self.eps)] = 1.0
+        return self.density * self._weighted(one)[:, 0]
+
+    def _weighted(self, u: Float) -> Float:
+        on = self.topology.corners, self.keys.rows, self.area
+        found: Float = integrals.weighted(*on, self.eps, u, masses(self.keys.element))
+        return found
+
+    def convection(self, e: Float) -> tuple[Float, Float]:
+        """C of a velocity e (size, 2), and what of R is not the change of mass (size,)."""
+        one = self.keys.element
+        places, weight = rule(3 * one.degree)
+        C, drained = integrals.convected(
+            self.topology.corners, self.keys.rows, self.gradient, self.area, self.eps, e, self.w,
+            places, one.shape(places), one.slope(places), weight,
+        )  # fmt: skip
+        if len(self.outlets):  # what flows out takes its momentum with it; what flows in had none
+            velocity, eps, normal, shape = self._at_sides(self.outlets, e, 3 * one.degree)
+            out = eps * np.maximum((velocity * normal).sum(axis=2), 0.0)
+            rows = self.keys.rows[self.outlets[:, 0]]
+            np.subtract.at(drained, rows, np.einsum("bq,bql->bl", out, shape))
+            np.subtract.at(C, rows, np.einsum("bq,bqc,bql->blc", out, velocity, shape))
+        return self.density * C, self.density * drained
+
+    def inflow(self, given: Float) -> Float:
+        """∮q ε u·n of a given superficial velocity ε u (size, 2), (size of p,)."""
+        flux, _, normal, _ = self._at_sides(self.inlets, given, 2 * self.order)
+        places = edge_rule(2 * self.order)[0]
+        q = self.pressure_keys.element.shape(places.reshape(-1, 3)).reshape(*places.shape[:2], -1)
+        found = np.zeros(self.pressure_keys.size)
+        through = (flux * normal).sum(axis=2)
+        t, k = self.inlets.T
+        np.add.at(found, self.pressure_keys.rows[t], np.einsum("bq,bql->bl", through, q[k]))
+        return found
+
+    def along(self, edges: Int, values: Float, keys: Keys, eps: Float | None = None) -> Float:
+        """∫ds of fields (size, c) along edges, times ε if given, (c,)."""
+        places, weight = edge_rule(2 * self.order)
+        shape = keys.element.shape(places.reshape(-1, 3)).reshape(*places.shape[:2], -1)
+        one = np.ones(len(self.eps)) if eps is None else eps
+        found, e, normal = integrals.at_sides(
+            edges, self.topology.corners, keys.rows, self.gradient, self.area, one, values,
+            places, shape, weight,
+        )  # fmt: skip
+        ds = np.hypot(normal[..., 0], normal[..., 1])
+        total: Float = (e[..., None] * ds[..., None] * found).sum(axis=(0, 1))
+        return total
+
+    def _at_sides(self, edges: Int, u: Float, degree: int) -> tuple[Float, Float, Float, Float]:
+        """Velocity, ε, n ds and shape functions on edges (b, q, ...)."""
+        places, weight = edge_rule(degree)
+        shape = self.keys.element.shape(places.reshape(-1, 3)).reshape(*places.shape[:2], -1)
+        velocity, eps, normal = integrals.at_sides(
+            edges, self.topology.corners, self.keys.rows, self.gradient, self.area, self.eps, u,
+            places, shape, weight,
+        )  # fmt: skip
+        return velocity, eps, normal, shape[edges[:, 1]]
+
+    def source(self) -> Float:
+        """Right sides of (1) and (2) by particles, with the fields at hand for Eq. (5), (N,)."""
+        one, other = self.keys.element, self.pressure_keys.element
+        places, weight = rule(max(2 * self.order, one.degree + 1))
+        F, G = integrals.sources(
+            self.topology.corners, self.keys.rows, self.pressure_keys.rows, self.gradient,
+            self.area, self.u, self.p, self.f, self.g, self.dE, self.dS,
+            places, one.shape(places), other.slope(places), weight,
+        )  # fmt: skip
+        return np.concatenate([F.ravel(), G])
 
     def means(self) -> tuple[Float, Float, Float]:
-        """Integrals of u (v, 2), ∇p (v, 2) and ∇×u (v,) times the hats of the vertices."""
-        v = self.mesh.nv
-        u, slope, curl = np.split(self.vector("means"), [2 * v, 4 * v])
-        return u.reshape(2, v).T, slope.reshape(2, v).T, curl
+        """Integrals of u (m, 2), ∇p (m, 2) and ∇×u (m,) times the hats of the points."""
+        one, other = self.keys.element, self.pressure_keys.element
+        places, weight = rule(one.degree + 1)
+        found = integrals.averages(
+            self.topology.corners, self.keys.rows, self.pressure_keys.rows, self.gradient,
+            self.area, self.u, self.p, len(self.eps),
+            places, one.shape(places), one.slope(places), other.slope(places), weight,
+        )  # fmt: skip
+        return found[:, :2], found[:, 2:4], found[:, 4]
 
-    def whole(self) -> tuple[Any, Any]:
-        """The matrix of both equations, and which of its unknowns are free."""
-        X = self.V * self.Q
-        (u, p), (v, q) = X.TnT()
-        form = (
-            self._viscous(u, v)
-            + self.E * (InnerProduct(grad(p), v) + InnerProduct(u, grad(q)))
-            - self.S * InnerProduct(grad(p), grad(q))
-        )
-        with threads(self.mesh):
-            return BilinearForm(form * dx(bonus_intorder=1)).Assemble().mat, X.FreeDofs()
+    # --- the matrix ---------------------------------------------------------------------------
 
-    def factor(self, names: NDArray[np.int64]) -> Lagged:
-        """A factor of the matrix of both equations, for unknowns of these names."""
-        matrix, free = self.whole()
-        with threads(self.mesh):
-            return Lagged(matrix, self.V.ndof, free, names)
+    def assemble(self) -> None:
+        """The matrices of the triangles for the present fields and places of the points."""
+        one, other = self.keys.element, self.pressure_keys.element
+        self.K = integrals.matrices(
+            self.topology.corners, self.gradient, self.area, 3 * self.order,
+            self.inertia, self.eps, self.viscosity + self.stirred, self.E, self.S,
+            masses(one), slopes(one), divergences(one, other), slopes(other),
+        )  # fmt: skip
+        integrals.condense(self.K, self.outer)
+
+    def apply(self, x: Float) -> Float:
+        """Left sides of (1) and (2) for unknowns (N,), those inside of triangles eliminated."""
+        found: Float = integrals.product(self.K, self.rows, x, self.outer)
+        return found
+
+    def condensed(self, f: Float) -> Float:
+        """Right sides (N,) for `apply`."""
+        found: Float = integrals.condensed(self.K, self.rows, f, self.outer)
+        return found
+
+    def completed(self, f: Float, x: Float) -> None:
+        """Put the unknowns inside of triangles into x; f is of `condensed`."""
+        integrals.completed(self.K, self.rows, f, x, self.outer)
+
+    @property
+    def sought(self) -> Mask:
+        """Unknowns that are free and not inside of triangles (N,)."""
+        return self.free & ~self.within
+
+    def factor(self, names: Int, inside: Mask | None = None) -> Lagged:
+        """A factor of the matrix for the unknowns sought, or those `inside`, by their names."""
+        inside = self.sought if inside is None else inside
+        return Lagged(self.K, self.rows[:, : self.outer], inside, self.split, names)
+
+    @property
+    def names(self) -> Int:
+        """Names of the unknowns of u and p (N,), the same on any triangulation of the points."""
+        u, p = 3 * self.keys.names, 3 * self.pressure_keys.names
+        return np.concatenate([np.stack([u, u + 1], axis=1).ravel(), p + 2])
 
     def mobility(self, forces: Float, lasts: float) -> Float:
         """Mean velocities of slow flow by forces, under themselves [m/s].
 
         Parameters
         ----------
-        forces : (k, v, 2)
+        forces : (k, m, 2)
             Densities, linear, whose integral is of size 1 [1/m2].
         lasts : float
             Time for which the force has acted [s].
@@ -209,57 +307,37 @@ class Operator:
         (k,)
             ∫f·u for each.
         """
-        eps = self.eps.vec.FV().NumPy().copy()
-        none = np.zeros_like(eps)
-        self.stirred.vec[:] = 0.0
-        self.load(inertia=self.density * eps / lasts, E=eps, S=none, dE=none, dS=none)
-        self.load(g=np.zeros((len(eps), 2)))
-        matrix, free = self.whole()
-        solver, x = SaddleFactor(matrix, self.V.ndof, free), matrix.CreateColVector()
-        f, found = x.CreateVector(), []
+        none = np.zeros_like(self.eps)
+        self.stirred[:] = 0.0
+        self.load(inertia=self.density * self.eps / lasts, E=self.eps, S=none, dE=none, dS=none)
+        self.load(g=np.zeros_like(self.g))
+        self.assemble()
+        names, sought, found = np.arange(len(self.free)), self.sought, []
+        precondition = self.factor(names).preconditioner(np.where(sought, names, -1))
         for force in forces:
             self.load(f=force)
-            f.FV().NumPy()[:] = self.vector("source")
-            solver.solve(f, x)
-            found.append(float(f.FV().NumPy() @ x.FV().NumPy()))
+            whole = self.source()
+            f = self.condensed(whole)
+            goal = MOBILITY_TOLERANCE * float(np.linalg.norm(f[sought]))
+            x, _, left = gmres(
+                lambda z: self.apply(z) * sought, precondition, f * sought, goal, MOST
+            )
+            if left > goal:
+                raise RuntimeError(
+                    f"linear solver: residual {left / goal * MOBILITY_TOLERANCE:.1e}"
+                )
+            self.completed(f, x)
+            found.append(float(whole @ x))
         return np.array(found)
-
-    def _viscous(self, u: Any, v: Any) -> Any:
-        """Eq. (3), with c ρ ε/Δt + B in `inertia`."""
-        mu, eps = self.viscosity + self.stirred, self.eps
-        return (
-            self.inertia * InnerProduct(u, v)
-            + 2.0 * mu * eps * InnerProduct(Sym(Grad(u)), Sym(Grad(v)))
-            - 2.0 / 3.0 * mu * eps * div(u) * div(v)
-        )
-
-    def load(self, **fields: Float) -> None:
-        """Set linear fields to values (v,) or (v, 2) at the vertices."""
-        for name, values in fields.items():
-            getattr(self, name).vec.FV().NumPy()[:] = values.T.ravel()
-
-    def assemble(self) -> None:
-        """The matrices for the present fields and places of the vertices."""
-        with threads(self.mesh):
-            for form in (self.a, self.b, self.s):
-                form.Assemble()
-        self.blocks = csr(self.a.mat), csr(self.b.mat), csr(self.s.mat)
-
-    def apply(self, x: Float) -> Float:
-        """Left sides of (1) and (2) for unknowns (N,)."""
-        a, b, s = self.blocks
-        u, p = x[: self.V.ndof], x[self.V.ndof :]
-        return np.concatenate([a @ u + b.T @ p, b @ u - s @ p])
 
     @property
     def x(self) -> Float:
-        """Unknowns of velocity, then of pressure (N,)."""
-        return np.concatenate([self.u.vec.FV().NumPy(), self.p.vec.FV().NumPy()])
+        """Unknowns of velocity, u_x and u_y in turn, then of pressure (N,)."""
+        return np.concatenate([self.u.ravel(), self.p])
 
     @x.setter
     def x(self, values: Float) -> None:
-        split = self.V.ndof
-        self.u.vec.FV().NumPy()[:], self.p.vec.FV().NumPy()[:] = values[:split], values[split:]
+        self.u[:], self.p[:] = values[: self.split].reshape(-1, 2), values[self.split :]
 
 
 __all__ = ["Operator"]

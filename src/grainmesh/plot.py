@@ -248,10 +248,10 @@ def motion(
     if show not in ("speed", "pressure"):
         raise InputError(f"plot.motion: show '{show}' must be speed or pressure")
     ax = _frame(box, ax)
-    mesh, op = flow.mesh, flow.operator
-    points, triangles, at = _cut(op.mesh, FINEST_FRAME)
-    value = np.asarray((op.u if show == "speed" else op.p)(at))
-    value = np.hypot(*value.reshape(-1, 2).T) if show == "speed" else value.ravel()
+    mesh = flow.mesh
+    cuts = int(np.clip(np.sqrt(FINEST_FRAME / len(mesh.triangles)), 1, 8))
+    points, triangles, velocity, pressure, _ = flow.sample(cuts)
+    value = np.hypot(*velocity.T) if show == "speed" else pressure
     drawn, which = _tiled_triangles(box, points[triangles])
     least = 0.0 if show == "speed" else float(np.quantile(value, 0.02))
     most = float(np.quantile(value, 0.98)) if top is None else top

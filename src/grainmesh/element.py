@@ -1,0 +1,190 @@
+"""Polynomials on a triangle: the basis of NGSolve at any place, and integrals of its products.
+
+Places are barycentric, (q, 3), corners in rising order of their numbers: then one basis serves all
+triangles. Unknowns are those of the corners, of the edges 01, 02 and 12, and of the inside.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from netgen.meshing import Mesh as NetgenMesh
+from ngsolve import H1, SEGM, TRIG, GridFunction, IntegrationRule, Mesh
+from numpy.typing import NDArray
+
+Float = NDArray[np.float64]
+Int = NDArray[np.int64]
+
+PAIRS = np.array([[0, 1], [0, 2], [1, 2]])
+
+
+@dataclass(frozen=True)
+class Element:
+    """Polynomials of order k >= 1; with a cubic bubble for k = 1, if so said (MINI)."""
+
+    order: int
+    bubble: bool = False
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Unknowns of an edge, and of the inside."""
+        k = self.order
+        return k - 1, int(self.bubble) if k == 1 else (k - 1) * (k - 2) // 2
+
+    @property
+    def degree(self) -> int:
+        """Of the polynomials."""
+        return 3 if self.bubble else self.order
+
+    @cached_property
+    def nodes(self) -> Float:
+        """Places that tell the polynomials apart (l, 3)."""
+        if self.bubble:
+            return np.vstack([np.eye(3), np.full((1, 3), 1.0 / 3.0)])
+        return lattice(self.order)[0]
+
+    @cached_property
+    def to_values(self) -> Float:
+        """Values at the nodes from unknowns (l, l)."""
+        return _values_at_nodes(self)
+
+    @cached_property
+    def _of_values(self) -> Float:
+        """Coefficients of monomials from unknowns (l, l)."""
+        found: Float = np.linalg.solve(self._monomials(self.nodes)[0], self.to_values)
+        return found
+
+    def shape(self, places: Float) -> Float:
+        """Values of the basis (q, l)."""
+        found: Float = self._monomials(places)[0] @ self._of_values
+        return found
+
+    def slope(self, places: Float) -> Float:
+        """Derivatives by the second and third barycentric coordinate (q, l, 2)."""
+        d = self._monomials(places)[1]
+        found: Float = np.einsum("aqn,nl->qla", d[1:] - d[:1], self._of_values)
+        return found
+
+    def _monomials(self, places: Float) -> tuple[Float, Float]:
+        """A basis of the polynomials (q, l), and its three derivatives (3, q, l)."""
+        a, b, c = places.T
+        if self.bubble:
+            one, zero = np.ones_like(a), np.zeros_like(a)
+            first = [[one, zero, zero, b * c], [zero, one, zero, a * c], [zero, zero, one, a * b]]
+            values = np.stack([a, b, c, a * b * c], axis=1)
+            return values, np.stack([np.stack(part, axis=1) for part in first])
+        k = self.order
+        p, q = (np.array([pair[i] for pair in _powers(k)]) for i in (0, 1))
+        power = np.stack([p, q, k - p - q])
+        up = places.T[..., None] ** power[:, None]
+        down = power[:, None] * places.T[..., None] ** np.maximum(power - 1, 0)[:, None]
+        first = [down[0] * up[1] * up[2], up[0] * down[1] * up[2], up[0] * up[1] * down[2]]
+        return up.prod(axis=0), np.stack(first)
+
+
+@lru_cache
+def element(order: int, bubble: bool = False) -> Element:
+    """The same element each time: what it has found out is kept."""
+    return Element(order, bubble)
+
+
+def _powers(order: int) -> list[tuple[int, int]]:
+    return [(i, j) for i in range(order + 1) for j in range(order + 1 - i)]
+
+
+def lattice(parts: int) -> tuple[Float, Int]:
+    """Even nodes (l, 3) of a triangle whose edges are cut, and small triangles of them (c, 3).
+
+    Nodes as of a field of order `parts`: barycentric, corners first, then edges.
+    """
+    steps = range(1, parts)
+    nodes = (parts * np.eye(3, dtype=int)).tolist()
+    for a, b in PAIRS.tolist():
+        for step in steps:
+            node = [0, 0, 0]
+            node[a], node[b] = parts - step, step
+            nodes.append(node)
+    nodes += [[parts - i - j, i, j] for i in steps for j in range(1, parts - i)]
+    number = {(i, j): row for row, (_, i, j) in enumerate(nodes)}
+    small = []
+    for i in range(parts):
+        for j in range(parts - i):
+            small.append([number[i, j], number[i + 1, j], number[i, j + 1]])
+            if i + j < parts - 1:
+                small.append([number[i + 1, j], number[i + 1, j + 1], number[i, j + 1]])
+    return np.array(nodes) / parts, np.array(small)
+
+
+@lru_cache
+def rule(degree: int) -> tuple[Float, Float]:
+    """Places (q, 3) and weights (q,), of sum 1, exact for polynomials of a degree."""
+    found = IntegrationRule(TRIG, degree)
+    b, c = np.array([point[:2] for point in found.points]).T
+    # The corners of NGSolve's triangle are (1, 0), (0, 1), (0, 0).
+    weights = np.array(found.weights)  # their sum is right to 1e-14 only
+    return np.stack([b, c, 1.0 - b - c], axis=1), weights / weights.sum()
+
+
+@lru_cache
+def edge_rule(degree: int) -> tuple[Float, Float]:
+    """Places (3, q, 3) on the edges 01, 02, 12 and weights (q,), of sum 1."""
+    found = IntegrationRule(SEGM, degree)
+    s = np.array([point[0] for point in found.points])
+    places = np.zeros((3, len(s), 3))
+    for row, (a, b) in enumerate(PAIRS):
+        places[row, :, a], places[row, :, b] = 1.0 - s, s
+    weights = np.array(found.weights)
+    return places, weights / weights.sum()
+
+
+def _values_at_nodes(kind: Element) -> Float:
+    """What NGSolve's basis is at the nodes (l, l)."""
+    ngmesh = NetgenMesh(dim=2)
+    ngmesh.AddPoints(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
+    region = ngmesh.AddRegion("one", dim=2)
+    ngmesh.AddElements(dim=2, index=region, data=np.array([[0, 1, 2]], np.int32), base=0)
+    mesh = Mesh(ngmesh)
+    space = H1(mesh, order=kind.order)
+    if kind.bubble:
+        space.SetOrder(TRIG, 3)
+        space.Update()
+    field, columns = GridFunction(space), []
+    inside = 1e-13 + (1.0 - 3e-13) * kind.nodes  # corners must be found inside the mesh
+    for unknown in range(space.ndof):
+        field.vec[:] = 0.0
+        field.vec[unknown] = 1.0
+        columns.append([field(mesh(*x)) for x in inside[:, 1:].tolist()])
+    return np.array(columns).T
+
+
+@lru_cache
+def masses(one: Element) -> Float:
+    """∫λ_c φ_i φ_j over a triangle of area 1 (l, l, 3)."""
+    places, weights = rule(2 * one.degree + 1)
+    phi = one.shape(places)
+    return np.ascontiguousarray(np.einsum("q,qc,qi,qj->ijc", weights, places, phi, phi))
+
+
+@lru_cache
+def slopes(one: Element) -> Float:
+    """∫λ_c ∂_a φ_i ∂_b φ_j over a triangle of area 1 (l, l, 3, 2, 2)."""
+    places, weights = rule(2 * one.degree - 1)
+    d = one.slope(places)
+    found = np.einsum("q,qc,qia,qjb->ijcab", weights, places, d, d)
+    return np.ascontiguousarray(found)
+
+
+@lru_cache
+def divergences(one: Element, other: Element) -> Float:
+    """∫λ_c φ_j ∂_a q_i over a triangle of area 1, q of the other element (p, l, 3, 2)."""
+    places, weights = rule(one.degree + other.degree)
+    found = np.einsum("q,qc,qj,qia->ijca", weights, places, one.shape(places), other.slope(places))
+    return np.ascontiguousarray(found)
+
+
+__all__ = [
+    "PAIRS", "Element", "divergences", "edge_rule", "element", "lattice", "masses", "rule",
+    "slopes",
+]  # fmt: skip
