@@ -99,10 +99,10 @@ def row(case: str, n: int, order: int, until: float, longest: float) -> None:
     assert flow is not None
     ms = {key: 1e3 * np.median(values) for key, values in found.items()}
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10  # kB on Linux
-    nodes = flow.operator.mesh.nv / len(simulation)
+    nodes = flow.operator.topology.used.sum() / len(simulation)
     print(
         f"{case:>13} {len(simulation):6d} {'MINI' if order == 1 else f'P{order}/P{order - 1}':>5} "
-        f"{flow.operator.V.ndof + flow.operator.Q.ndof:7d} {nodes:5.2f} {simulation.t:7.3f} "
+        f"{flow.operator.free.sum():7d} {nodes:5.2f} {simulation.t:7.3f} "
         f"{ms['dt']:6.3f} {ms['wall']:7.1f} {ms['cpu']:7.1f} "
         + " ".join(f"{ms[key]:6.1f}" for key in PARTS)
         + f" {np.median(found['iterations']):4.0f} {100 * found['factors'].sum() / steps:5.1f} "

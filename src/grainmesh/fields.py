@@ -31,10 +31,10 @@ Arrays = dict[str, NDArray[Any]]
 LEAST_POROSITY = 0.02
 #: Most nodes in open places.
 MANY = 1e6
-#: Iterations after which the factor is made anew, and at most.
-FEW, MOST = 8, 60
+#: Iterations at most, and how many of them a new factor costs.
+MOST, FACTOR = 60, 16.0
 #: What a checkpoint holds besides the mesh and the unknowns.
-NUMBERS = ("time", "dt", "stirring_since", "iterations", "factors")
+NUMBERS = ("time", "dt", "stirring_since", "iterations", "factors", "spent", "since")
 STATE = (
     "velocity", "last", "slid", "force", "around", "curl", "drag", "mobility",
     "extra", "D", "du", "Q",
@@ -155,6 +155,8 @@ class Fields:
         Momentum of the fluid, its last change, and what the solver left, `navier` Eq. (4).
     iterations, factors : int
         Of the linear solver in the last step; factors made so far.
+    spent, since : float, int
+        Iterations, or what costs as much, in the steps with the present factor; their number.
     seconds : dict
         Time spent on each part.
     """
@@ -190,7 +192,8 @@ class Fields:
         self.slid = np.zeros((n, 2))
         self.drag, self.mobility = np.zeros(n), np.zeros(n)
         self.time = self.dt = self.stirring_since = 0.0
-        self.iterations = self.factors = 0
+        self.iterations = self.factors = self.since = 0
+        self.spent = 0.0
         self.seconds = dict.fromkeys(PARTS, 0.0)
         self._factor: Lagged | None = None
         self._recipe: Arrays = {}
@@ -399,7 +402,8 @@ class Fields:
             fresh = self._factor is None or attempt == 1
             if fresh:
                 self._make_factor()
-            apply, precondition = _scaled(op.apply, self._levelled(self._preconditioner()), scale)
+            first, share = self._preconditioner()
+            apply, precondition = _scaled(op.apply, self._levelled(first), scale)
             delta, self.iterations, left = gmres(apply, precondition, r, goal, MOST)
             if left <= goal:
                 break
@@ -409,7 +413,12 @@ class Fields:
                 f"{left / size:.1e} after {MOST} iterations, with a step of the flow that is "
                 "perhaps too long (Fluid(dt=...))"
             )
-        if self.iterations > FEW and not fresh:
+        # A new factor as soon as a step with the old one costs more than steps did on average.
+        effort = self.iterations + FACTOR * share
+        if fresh:
+            self.spent, self.since = FACTOR, 0
+        self.spent, self.since = self.spent + effort, self.since + 1
+        if effort * self.since > self.spent:
             self._factor, self._recipe = None, {}
         x = self._levelled(lambda x: x)(x + scale * delta)
         op.completed(f, x)
@@ -439,14 +448,14 @@ class Fields:
         self._recipe = {key: np.array(getattr(mesh, key)) for key in TOPOLOGY}
         self._recipe |= {key: getattr(op, key).copy() for key in MATRIX}
 
-    def _preconditioner(self) -> Apply:
-        """The factor at hand, mended on the triangles that have come since it was made."""
+    def _preconditioner(self) -> tuple[Apply, float]:
+        """The factor at hand, mended on triangles that have come since; their share of the mesh."""
         op, on = self.operator, self.operator.topology
         assert self._factor is not None
         first = self._factor.preconditioner(np.where(op.sought, op.names, -1))
         fresh = ~np.isin(on.numbers, self._factor_faces)
         if not fresh.any():
-            return first
+            return first, 0.0
         near = np.zeros(on.count, dtype=bool)
         near[on.corners[fresh]] = True
         inside = np.zeros_like(op.free)
@@ -454,7 +463,8 @@ class Fields:
         inside &= op.sought
         number = np.arange(len(inside))
         patch = op.factor(number, inside)
-        return mended(first, op.apply, patch.preconditioner(np.where(inside, number, -1)))
+        second = patch.preconditioner(np.where(inside, number, -1))
+        return mended(first, op.apply, second), float(inside.sum() / op.sought.sum())
 
     # --- the mesh -----------------------------------------------------------------------------
 

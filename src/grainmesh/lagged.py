@@ -24,8 +24,8 @@ from ngsolve.la import SparseMatrixd
 from numpy.typing import NDArray
 from pyngcore import Array_D_S, Array_I_S
 from scipy.linalg import solve_triangular
-from scipy.sparse import coo_array
 
+from grainmesh import integrals
 from grainmesh.saddle import PIVOT
 
 Float = NDArray[np.float64]
@@ -43,7 +43,7 @@ class Lagged:
     Parameters
     ----------
     K : (t, n, n)
-        Symmetric matrices of the triangles; those larger than `rows` are cut.
+        Symmetric matrices of triangles; what is more than `rows` has is left out.
     rows : (t, n)
         Their unknowns.
     inside : (N,) bool
@@ -58,32 +58,24 @@ class Lagged:
         kept = np.flatnonzero(inside)
         number = np.full(len(inside), -1)
         number[kept] = np.arange(len(kept))
-        there = inside[rows].any(axis=1)
-        n, local = rows.shape[1], number[rows if there.all() else rows[there]]
-        i = np.repeat(local, n, axis=1).ravel()
-        j = np.tile(local, (1, n)).ravel()
-        values = (K if there.all() else K[there])[:, :n, :n].reshape(-1)
-        both = (i >= 0) & (j >= 0)
-        if not both.all():
-            i, j, values = i[both], j[both], values[both]
-        matrix = coo_array((values, (i, j)), shape=(len(kept), len(kept))).tocsr()
-        # ``PIVOT`` diag(B diag(A)⁻¹ Bᵀ) for the pressures.
-        split, diagonal = int(np.searchsorted(kept, first)), matrix.diagonal()
-        B = matrix[split:, :split]
-        own = np.zeros(len(kept))
-        own[split:] = (B**2) @ (1.0 / diagonal[:split])
-        whole = matrix.tocoo()
-        values = whole.data.copy()
-        at = whole.row == whole.col
-        values[at] -= PIVOT * own[whole.row[at]]
-        i, j = whole.row, whole.col
-        missing = np.flatnonzero(np.bincount(i[at], minlength=len(kept)) == 0)
-        i, j = np.append(i, missing), np.append(j, missing)
-        values = np.append(values, -PIVOT * own[missing])
+        i, j, values, diagonal = integrals.entries(K, rows, number, len(kept))
+        # About ``PIVOT`` diag(B diag(A)⁻¹ Bᵀ) for the pressures.
+        split = int(np.searchsorted(kept, first))
+        coupling = (i >= split) & (j < split)
+        own = np.bincount(
+            i[coupling], values[coupling] ** 2 / diagonal[j[coupling]], minlength=len(kept)
+        )
+        at = np.arange(split, len(kept), dtype=np.int32)
+        i, j = np.append(i, at), np.append(j, at)
+        values = np.append(values, -PIVOT * own[split:])
         # The factor of several threads is another one each time, by round-off.
         self._many, count = len(kept) > MANY, GetNumThreads()
         made = SparseMatrixd.CreateFromCOO(
-            _array(Array_I_S, i), _array(Array_I_S, j), _array(Array_D_S, values), *whole.shape
+            _array(Array_I_S, i),
+            _array(Array_I_S, j),
+            _array(Array_D_S, values),
+            len(kept),
+            len(kept),
         )
         if self._many:
             with TaskManager():
@@ -109,11 +101,7 @@ class Lagged:
             z = np.zeros_like(r)
             f[:] = 0.0
             f[place] = r[known]
-            if self._many:
-                with TaskManager():
-                    self._x.data = self._inverse * self._f
-            else:
-                self._x.data = self._inverse * self._f
+            self._x.data = self._inverse * self._f
             z[known] = x[place]
             return z
 

@@ -283,8 +283,11 @@ class Operator:
 
     def factor(self, names: Int, inside: Mask | None = None) -> Lagged:
         """A factor of the matrix for the unknowns sought, or those `inside`, by their names."""
-        inside = self.sought if inside is None else inside
-        return Lagged(self.K, self.rows[:, : self.outer], inside, self.split, names)
+        rows = self.rows[:, : self.outer]
+        if inside is None:
+            return Lagged(self.K, rows, self.sought, self.split, names)
+        there = inside[rows].any(axis=1)
+        return Lagged(self.K[there], rows[there], inside, self.split, names)
 
     @property
     def names(self) -> Int:
