@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from ngsolve import H1, TRIG, VERTEX, GridFunction, IfPos, Integrate, Periodic, x, y
+from ngsolve import IfPos, Integrate, x, y
 
-from grainmesh.carry import Keys, along_edge, carry, carry_load
+from grainmesh.carry import Finder, Keys, Topology, Transfer, along_edge
 from grainmesh.domain import Box
+from grainmesh.element import PAIRS, element
 from grainmesh.mesh import flow_mesh
 from grainmesh.nodes import bounded
 
@@ -16,32 +17,30 @@ ORDERS = [1, 2, 3, 4, 5]
 
 def keys_of(mesh, order):
     """Keys on what a `Bounded` is now; bubbles for k = 1."""
-    grid = flow_mesh(mesh.box, mesh.points, mesh.triangles, mesh.shifts, mesh.neighbours)
-    about = mesh.points.copy(), mesh.triangles.copy(), mesh.shifts.copy()
-    return Keys(mesh.box, *about, grid, order, order == 1)
+    on = Topology(mesh.box, len(mesh.points), mesh.triangles.copy(), mesh.shifts.copy())
+    return Keys(on, element(order, order == 1))
 
 
-def space_of(keys):
-    space = H1(keys.grid.mesh, order=keys.order)
-    if keys.bubble:
-        space.SetOrder(TRIG, 3)
-        space.Update()
-    return Periodic(space) if keys.grid.mesh.GetPeriodicNodePairs(VERTEX) else space
+def grid_of(mesh):
+    return flow_mesh(mesh.box, mesh.points, mesh.triangles, mesh.shifts, mesh.neighbours)
 
 
-def gathered(keys, field):
-    """Unknowns by key, (size, 1), of a field."""
+def gathered(keys, grid, exact):
+    """Unknowns (size, 1) of a formula."""
+    field = keys.field(grid, np.zeros(keys.size))
+    field.Set(exact)
     found, values = np.zeros((keys.size, 1)), field.vec.FV().NumPy()
     free = np.asarray(field.space.FreeDofs())  # images hold no values
-    found[keys.of_mesh[free], 0] = values[free]
+    found[keys.of_mesh(grid)[free], 0] = values[free]
     return found
 
 
-def spread_out(keys, values):
-    """The field of unknowns by key."""
-    field = GridFunction(space_of(keys))
-    field.vec.FV().NumPy()[:] = values[keys.of_mesh, 0]
-    return field
+def carry(mesh, old, new, values):
+    return Transfer(old.topology, new.topology, mesh.points).fields(old, new, values)
+
+
+def carry_load(mesh, old, new, values):
+    return Transfer(old.topology, new.topology, mesh.points).loads(old, new, values)
 
 
 def made_to_change(periodic, seed, moves=3, far=0.06, n=40):
@@ -80,15 +79,13 @@ def test_polynomials_of_their_degree_are_carried_exactly(order):
     for mesh, before in made_to_change(False, 0, moves=20):
         exact = polynomial(order, order == 1, x, y, rng)
         old = keys_of(mesh, order)
-        field = GridFunction(space_of(old))
-        field.Set(exact)
-        count = mesh.flips
+        values, count = gathered(old, grid_of(mesh), exact), mesh.flips
         mesh.mend()
         flips += mesh.flips - count
         came += int((mesh.in_use & ~before).sum())
         went += int((before & ~mesh.in_use).sum())
         new = keys_of(mesh, order)
-        found = spread_out(new, carry(old, new, gathered(old, field)))
+        found = new.field(grid_of(mesh), carry(mesh, old, new, values)[:, 0])
         error = (found - exact) ** 2
         assert np.sqrt(Integrate(error, found.space.mesh, order=2 * order + 6)) < 1e-11
     assert min(flips, came, went) > 3  # all of it has happened
@@ -107,18 +104,17 @@ def test_and_across_the_sides_of_a_periodic_box(order, jump):
             X, Y = X + IfPos(-X, 1.0, 0.0), Y + IfPos(-Y, 1.0, 0.0)
         exact = polynomial(order, order == 1, X, Y, rng)
         old = keys_of(mesh, order)
-        field = GridFunction(space_of(old))
-        field.Set(exact)
+        values = gathered(old, grid_of(mesh), exact)
         mesh.mend()
         new = keys_of(mesh, order)
-        found = spread_out(new, carry(old, new, gathered(old, field)))
+        found = new.field(grid_of(mesh), carry(mesh, old, new, values)[:, 0])
         error = Integrate((found - exact) ** 2, found.space.mesh, order=2 * order + 6,
                           element_wise=True).NumPy()  # fmt: skip
-        place = new.places(np.arange(len(new.triangles)))
-        where = np.mod(place.mean(axis=1) / mesh.box.size - jump, 1.0)
+        on = new.topology
+        where = np.mod(on.places(mesh.points).mean(axis=1) / mesh.box.size - jump, 1.0)
         reach = 0.3  # longer than any two edges
         far = ((where > reach) & (where < 1.0 - reach)).all(axis=1)
-        new_ones = ~np.isin(new.faces_of_triangles, old.faces)
+        new_ones = ~np.isin(on.numbers, old.topology.faces)
         fresh += int((far & new_ones).sum())
         assert np.sqrt(error[far].max()) < 1e-11
     assert fresh > 3
@@ -131,18 +127,17 @@ def test_what_stays_keeps_its_values_and_nothing_is_carried_twice(order, periodi
     mesh, _ = next(made_to_change(periodic, 1))
     old = keys_of(mesh, order)
     values = rng.normal(size=(old.size, 2))
-    assert np.array_equal(carry(old, old, values), values)
+    assert np.array_equal(carry(mesh, old, old, values), values)
     mesh.mend()
     new = keys_of(mesh, order)
-    found = carry(old, new, values)
-    stay = np.isin(new.faces_of_triangles, old.faces)
+    found = carry(mesh, old, new, values)
+    stay = np.isin(new.topology.numbers, old.topology.faces)
     assert 0 < stay.sum() < len(stay)
-    there = np.flatnonzero(stay)
-    same = np.searchsorted(old.faces, new.faces_of_triangles[there])
-    back = np.argsort(old.faces_of_triangles)[same]
-    assert np.array_equal(found[new.local(there)], values[old.local(back)])
+    same = np.searchsorted(old.topology.faces, new.topology.numbers[stay])
+    back = np.argsort(old.topology.numbers)[same]
+    assert np.array_equal(found[new.rows[stay]], values[old.rows[back]])
     # Columns know nothing of each other, and the map is linear.
-    alone = carry(old, new, values[:, :1] + 3.0 * values[:, 1:])
+    alone = carry(mesh, old, new, values[:, :1] + 3.0 * values[:, 1:])
     assert np.allclose(alone, found[:, :1] + 3.0 * found[:, 1:], rtol=0.0, atol=1e-11)
 
 
@@ -154,7 +149,7 @@ def test_loads_keep_their_sum_over_vertices(seed, order, periodic):
     load = np.random.default_rng(seed).normal(size=(old.size, 2))
     mesh.mend()
     new = keys_of(mesh, order)
-    m, found = len(mesh.points), carry_load(old, new, load)
+    m, found = len(mesh.points), carry_load(mesh, old, new, load)
     assert np.array_equal(found[:m], load[:m])
     assert found.shape == (new.size, 2)
 
@@ -168,7 +163,7 @@ def test_each_unknown_has_a_name_of_its_own_that_it_keeps(order, periodic):
     new = keys_of(mesh, order)
     assert len(np.unique(new.names)) == new.size
     values = np.arange(old.size, dtype=float)[:, None]
-    kept = carry_load(old, new, values)[:, 0]
+    kept = carry_load(mesh, old, new, values)[:, 0]
     m = len(mesh.points)
     by_name = dict(zip(old.names.tolist(), values[:, 0].tolist(), strict=True))
     for name, value in zip(new.names[m:].tolist(), kept[m:].tolist(), strict=True):
@@ -178,14 +173,60 @@ def test_each_unknown_has_a_name_of_its_own_that_it_keeps(order, periodic):
 @pytest.mark.parametrize("order", ORDERS)
 def test_unknowns_of_edges_are_those_of_polynomials_on_them(order):
     mesh, _ = next(made_to_change(False, 4))
-    keys = keys_of(mesh, order)
+    keys, grid = keys_of(mesh, order), grid_of(mesh)
     exact = polynomial(order, False, x, y, np.random.default_rng(order))
-    field = GridFunction(space_of(keys))
-    field.Set(exact)
-    ends = np.stack(np.divmod(keys.edges, len(keys.points)), axis=1)
+    edge = np.arange(len(keys.topology.edges))
+    ends = np.stack(np.divmod(keys.topology.edges, len(mesh.points)), axis=1)
     along = np.linspace(0.0, 1.0, order + 1)[:, None]
-    place = (1.0 - along) * keys.points[ends[:, 0], None] + along * keys.points[ends[:, 1], None]
-    at = keys.grid.mesh(*np.clip(place, 1e-12, keys.box.size - 1e-12).reshape(-1, 2).T)
+    place = (1.0 - along) * mesh.points[ends[:, 0], None] + along * mesh.points[ends[:, 1], None]
+    at = grid.mesh(*np.clip(place, 1e-12, mesh.box.size - 1e-12).reshape(-1, 2).T)
     values = np.asarray(exact(at)).reshape(len(ends), order + 1, 1)
-    row = keys.unknowns(ends, np.arange(len(ends))[:, None], np.empty((len(ends), 0), np.int64))
-    assert np.allclose(along_edge(order, values), gathered(keys, field)[row], rtol=0.0, atol=1e-9)
+    row = np.column_stack([ends, keys.of_edges(edge[:, None])])
+    found, of_field = along_edge(keys.element, values), gathered(keys, grid, exact)
+    assert np.allclose(found, of_field[row], rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+def test_edges_and_triangles_are_known_by_their_corners(periodic):
+    mesh, _ = next(made_to_change(periodic, 2))
+    mesh.mend()
+    on = keys_of(mesh, 2).topology
+    m, t = len(mesh.points), mesh.triangles
+    assert np.array_equal(on.corners, np.sort(t, axis=1))
+    assert np.array_equal(on.used, mesh.in_use)
+    ends = np.stack(np.divmod(on.edges, m), axis=1)
+    assert np.array_equal(ends[on.edges_of_triangles], on.corners[:, PAIRS])
+    assert np.array_equal(on.faces, np.unique(on.corners @ [m * m, m, 1]))
+    # Corners where they are, up to a period of the box for all three.
+    way = on.places(mesh.points) - mesh.points[on.corners]
+    if periodic:
+        assert np.abs(way / mesh.box.size - np.rint(way / mesh.box.size)).max() < 1e-12
+        middle = on.places(mesh.points).mean(axis=1)
+        assert ((middle > -1e-12) & (middle < mesh.box.size + 1e-12)).all()
+    else:
+        assert not way.any()
+    a, b, c = np.moveaxis(on.places(mesh.points), 1, 0)
+    area = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
+    assert area.sum() == pytest.approx(mesh.box.area, rel=1e-12)
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+def test_places_are_found_in_the_triangle_that_holds_them(periodic):
+    mesh, _ = next(made_to_change(periodic, 6))
+    mesh.mend()
+    on, rng = keys_of(mesh, 1).topology, np.random.default_rng(0)
+    which = np.arange(len(on.triangles))
+    finder, places = Finder(on, mesh.points, which), on.places(mesh.points)
+    weight = rng.dirichlet([1.0, 1.0, 1.0], (len(which), 4)) * 0.97 + 0.01
+    inside = np.einsum("tqk,tkc->tqc", weight, places)
+    if periodic:
+        inside = inside + rng.integers(-2, 3, (len(which), 1, 2)) * mesh.box.size
+    t, found = finder(inside.reshape(-1, 2))
+    assert np.array_equal(t, np.repeat(which, 4))
+    assert np.allclose(found, weight.reshape(-1, 3), rtol=0.0, atol=1e-9)
+    # Anywhere at all.
+    x = rng.uniform(0.0, 1.0, (2000, 2)) * mesh.box.size
+    t, found = finder(x)
+    assert found.min() > -1e-12
+    way = np.einsum("qk,qkc->qc", found, places[t]) - x
+    assert np.abs(way - np.rint(way / mesh.box.size) * mesh.box.size * periodic).max() < 1e-12
