@@ -230,3 +230,24 @@ def test_places_are_found_in_the_triangle_that_holds_them(periodic):
     assert found.min() > -1e-12
     way = np.einsum("qk,qkc->qc", found, places[t]) - x
     assert np.abs(way - np.rint(way / mesh.box.size) * mesh.box.size * periodic).max() < 1e-12
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+@pytest.mark.parametrize("kind", ["cluster", "line"])
+def test_places_are_found_beside_much_smaller_triangles(kind, periodic):
+    # All nearest middles are those of a crowd that the triangle only touches.
+    box, n, rng = Box(1.0, 1.0, periodic), 300, np.random.default_rng(0)
+    if kind == "cluster":
+        turn = rng.uniform(0.0, 2.0 * np.pi, n)
+        far = 0.02 * np.sqrt(rng.uniform(0.0, 1.0, n))
+        crowd = 0.5 + far[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    else:
+        crowd = np.stack([np.linspace(0.3, 0.7, n), rng.normal(0.5, 1e-4, n)], axis=1)
+    rest = (np.stack(np.divmod(np.arange(9), 3), axis=1) + rng.uniform(0.2, 0.3, (9, 2))) / 3.0
+    mesh = bounded(box, np.vstack([crowd, rest]), np.full(n + 9, 1e-6))
+    on = keys_of(mesh, 1).topology
+    x = np.vstack([rng.uniform(0.0, 1.0, (500, 2)), rng.uniform(0.4, 0.6, (500, 2))])
+    t, found = Finder(on, mesh.points, np.arange(len(on.triangles)))(x)
+    assert found.min() > -1e-9
+    way = np.einsum("qk,qkc->qc", found, on.places(mesh.points)[t]) - x
+    assert np.abs(way - np.rint(way) * periodic).max() < 1e-12

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,8 @@ Int = NDArray[np.int64]
 
 #: Old triangles, nearest by their middle, among which the one that holds a node is looked for.
 NEAREST = 16
+#: How far outside of a triangle, in barycentric coordinates, is inside but for round-off.
+OUTSIDE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,7 +274,7 @@ class Transfer:
 
 
 class Finder:
-    """Which of some triangles hold places, by the nearest of their middles."""
+    """Which of some triangles hold places: one of those with the nearest middles, nearly always."""
 
     def __init__(self, on: Topology, points: Float, which: Int) -> None:
         self.box, self.which = on.box, which
@@ -281,6 +284,7 @@ class Finder:
         self.tree = cKDTree(self._inside(self.middle), boxsize=self.size)
         edge = corners[:, 1:] - corners[:, :1]
         self.inverse = np.linalg.inv(np.swapaxes(edge, 1, 2))
+        self.reach = np.hypot(*np.moveaxis(corners - self.middle[:, None], 2, 0)).max(axis=1)
 
     def _inside(self, x: Float) -> Float:
         return x if self.size is None else np.mod(x, self.size)
@@ -289,12 +293,36 @@ class Finder:
         """Triangles (q,) that hold places (q, 2) [m] best, and barycentric coordinates (q, 3)."""
         near = min(NEAREST, len(self.which))
         t = self.tree.query(self._inside(places), k=near)[1].reshape(-1, near)
-        offset = self.box.separation(self.middle[t], places[:, None])  # from each middle
-        weight = np.einsum("qncd,qnd->qnc", self.inverse[t], offset) + 1.0 / 3.0
-        weight = np.concatenate([1.0 - weight.sum(axis=-1, keepdims=True), weight], axis=-1)
-        best = np.argmax(weight.min(axis=-1), axis=1)
-        row = np.arange(len(places))
-        return self.which[t[row, best]], weight[row, best]
+        weight = self._weights(t, self.box.separation(self.middle[t], places[:, None]))
+        best, row = np.argmax(weight.min(axis=-1), axis=1), np.arange(len(places))
+        t, weight = t[row, best], weight[row, best]
+        lost = np.flatnonzero(weight.min(axis=1) < -OUTSIDE)  # beside much smaller triangles
+        if len(lost):
+            self._search(self._inside(places[lost]), lost, t, weight)
+        return self.which[t], weight
+
+    def _weights(self, t: Int, offset: Float) -> Float:
+        """Barycentric coordinates (..., 3) of places at offsets (..., 2) from middles."""
+        weight = np.einsum("...cd,...d->...c", self.inverse[t], offset) + 1.0 / 3.0
+        return np.concatenate([1.0 - weight.sum(axis=-1, keepdims=True), weight], axis=-1)
+
+    def _search(self, places: Float, rows: Int, t: Int, weight: Float) -> None:
+        """Put into `rows` of t and weight what is better, of all triangles that reach so far."""
+        images = np.zeros((1, 2))
+        if self.size is not None:
+            images = np.array(list(product((-1, 0, 1), repeat=2))) * self.size
+        level = np.ceil(np.log2(self.reach)).astype(int)
+        for size in np.unique(level):
+            some = np.flatnonzero(level == size)
+            tree = cKDTree(self.middle[some])
+            for image in images:
+                near = tree.query_ball_point(places + image, 2.0**size)
+                q = np.repeat(np.arange(len(places)), [len(found) for found in near])
+                found = some[np.concatenate([*near]).astype(int)]
+                w = self._weights(found, places[q] + image - self.middle[found])
+                order = np.argsort(w.min(axis=1))  # the best is written last
+                order = order[w[order].min(axis=1) > weight[rows[q[order]]].min(axis=1)]
+                t[rows[q[order]]], weight[rows[q[order]]] = found[order], w[order]
 
 
 def along_edge(one: Element, values: Float) -> Float:
