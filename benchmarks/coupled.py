@@ -57,7 +57,7 @@ def block(n: int, order: int) -> gm.Simulation:
     grains = gm.Particles(np.column_stack([x.ravel(), y.ravel()]), d, 1500.0)
     sides = dict.fromkeys(("left", "right", "bottom", "top"), Slip())
     fluid = Fluid(1000.0, 1e-3, Permeability(), sides, order=order, dt=5e-3, spacing=3.3 * d)
-    stiffness = excess * 9.81 * ny * np.pi / 4.0 * d / 0.02
+    stiffness = excess * 9.81 * ny * np.pi / 4.0 * d / 0.005
     contact = gm.Contact(stiffness=stiffness, restitution=0.3, friction=0.3)
     return gm.Simulation(gm.Model(box, contact, fluid=fluid), grains)
 

@@ -56,8 +56,11 @@ from grainmesh.medium import Inflow
 
 Float = NDArray[np.float64]
 
-#: Longest way of a disc against its neighbours in a step, in diameters; Courant number.
-WAY, COURANT = 1.0 / 7.0, 0.5
+#: Longest way in a step of a disc against its neighbours, in diameters, and against other points,
+#: in distances; Courant number.
+WAY, SHARE, COURANT = 1.0 / 7.0, 0.5, 0.5
+#: The part of the neighbours that these hold for.
+MOST_PASS = 0.95
 #: Reynolds number of a triangle at most: beyond it, viscosity is added.
 ROUGH = 200.0
 #: Discs whose own flow is computed, where there are more; below so many points, in each step.
@@ -79,16 +82,10 @@ class Coupling(Fields):
             longest = min(longest, np.sqrt(2.0 * WAY * d / fall))
         if self.fluid.dt is None and fall > 0.0:
             longest = 0.1 * np.sqrt(d / fall)
-        a, b, c = speed[corner.T]
-        relative = (
-            max(
-                float(((end - start) ** 2).sum(axis=1).max(initial=0.0))
-                for start, end in ((a, b), (b, c), (c, a))
-            )
-            ** 0.5
-        )
-        if relative > 0.0:
-            longest = min(longest, WAY * d / relative)
+        places, n = op.topology.places(self.mesh.points), len(self.velocity)
+        passing = integrals.passing(corner, places, speed, n, WAY * d, SHARE)
+        if passing.any():  # a few may be faster: only triangles must not turn over
+            longest = min(longest, 1.0 / np.quantile(passing, MOST_PASS))
         # How fast flow crosses the triangles around a point. Where viscosity is faster, u² rho/mu
         # takes the place of u/h: it acts implicitly.
         smooth = 0.5 * self.fluid.density / self.fluid.viscosity

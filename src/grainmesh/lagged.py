@@ -19,6 +19,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numba import njit
 from ngsolve import GetNumThreads, SetNumThreads, TaskManager
 from ngsolve.la import SparseMatrixd
 from numpy.typing import NDArray
@@ -149,28 +150,25 @@ def gmres(
     Y. Saad, Iterative Methods for Sparse Linear Systems (2003), Algorithm 9.5 (right
     preconditioning).
     """
-    size = float(np.linalg.norm(f))
+    size = _norm(f)
     if size <= tolerance:
         return np.zeros_like(f), 0, size
-    basis, kept = [f / size], []
+    basis, kept = np.empty((most + 1, len(f))), []
+    basis[0] = f / size
     H, rotations, g = np.zeros((most + 1, most)), np.zeros((most, 2)), np.zeros(most + 1)
     g[0] = size
     for j in range(most):
         kept.append(precondition(basis[j]))
         w = apply(kept[j])
-        for _ in range(2):  # twice is enough
-            for i in range(j + 1):
-                h = float(basis[i] @ w)
-                H[i, j] += h
-                w -= h * basis[i]
-        H[j + 1, j] = np.linalg.norm(w)
+        H[: j + 1, j] = _orthogonalise(basis[: j + 1], w)
+        H[j + 1, j] = _norm(w)
         for i, (cos, sin) in enumerate(rotations[:j]):
             H[i : i + 2, j] = cos * H[i, j] + sin * H[i + 1, j], cos * H[i + 1, j] - sin * H[i, j]
         length = float(np.hypot(H[j, j], H[j + 1, j]))
         if length == 0.0:
             break
         rotations[j] = H[j, j] / length, H[j + 1, j] / length
-        basis.append(w / H[j + 1, j] if H[j + 1, j] > 0.0 else w)
+        basis[j + 1] = w / H[j + 1, j] if H[j + 1, j] > 0.0 else w
         H[j, j], H[j + 1, j] = length, 0.0
         g[j], g[j + 1] = rotations[j, 0] * g[j], -rotations[j, 1] * g[j]
         if abs(g[j + 1]) <= tolerance:
@@ -178,6 +176,30 @@ def gmres(
     count = len(kept)
     y = solve_triangular(H[:count, :count], g[:count])
     return sum(c * z for c, z in zip(y, kept, strict=True)), count, abs(float(g[count]))
+
+
+# Not by BLAS, whose threads would wait for each other, and spin.
+@njit(cache=True, fastmath={"reassoc", "contract"})
+def _norm(x: Float) -> float:
+    total = 0.0
+    for value in x:
+        total += value * value
+    return float(np.sqrt(total))
+
+
+@njit(cache=True, fastmath={"reassoc", "contract"})
+def _orthogonalise(basis: Float, w: Float) -> Float:
+    """Take from w, in place, what it has of orthonormal vectors (j, N); returns how much."""
+    found = np.zeros(len(basis))
+    for _ in range(2):  # twice is enough
+        for j in range(len(basis)):
+            h = 0.0
+            for i in range(len(w)):
+                h += basis[j, i] * w[i]
+            for i in range(len(w)):
+                w[i] -= h * basis[j, i]
+            found[j] += h
+    return found
 
 
 __all__ = ["Apply", "Lagged", "gmres", "mended"]
