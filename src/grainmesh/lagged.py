@@ -19,9 +19,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numba import njit
 from ngsolve import GetNumThreads, SetNumThreads, TaskManager
 from ngsolve.la import SparseMatrixd
+from numba import njit
 from numpy.typing import NDArray
 from pyngcore import Array_D_S, Array_I_S
 from scipy.linalg import solve_triangular
