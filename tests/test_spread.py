@@ -12,6 +12,7 @@ from grainmesh import arrange
 from grainmesh.domain import Box
 from grainmesh.errors import InputError
 from grainmesh.living import living
+from grainmesh.nodes import bounded
 from grainmesh.particles import Particles
 from grainmesh.spread import spread
 from grainmesh.triangulation import triangulate
@@ -243,3 +244,26 @@ def test_refusals():
             Box(2.0, 1.0), points, radius, np.inf, mesh.points,
             mesh.triangles, mesh.neighbours, mesh.shifts,
         )  # fmt: skip
+
+
+def test_what_has_not_changed_need_not_be_found_again():
+    box, rng = Box(1.0, 1.0), np.random.default_rng(8)
+    r = np.full(300, 0.004)
+    mesh = bounded(box, rng.uniform(0.02, 0.98, (300, 2)), r)
+
+    def found(*more):
+        arrays = mesh.points, mesh.triangles, mesh.neighbours, mesh.shifts
+        return spread(box, mesh.points[:300], r, 0.1, *arrays, *more)
+
+    for _ in range(5):
+        while not mesh.move(mesh.points[:300] + rng.uniform(-5e-4, 5e-4, (300, 2))):
+            pass
+        before, old = found(), {*map(tuple, np.sort(mesh.triangles, axis=1).tolist())}
+        mesh.mend()
+        differ = old ^ {*map(tuple, np.sort(mesh.triangles, axis=1).tolist())}
+        changed = np.zeros(len(mesh.points), dtype=bool)
+        changed[np.array(sorted(differ), dtype=int).ravel()] = True
+        part, whole = found(before, changed), found()
+        assert 0 < changed.sum() < 250
+        assert (part.area == whole.area).all()
+        assert (part.share != whole.share).nnz == 0

@@ -11,7 +11,6 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
 from grainmesh.carry import Finder, Keys, Topology, Transfer, along_edge
-from grainmesh.cells import Diagram
 from grainmesh.domain import SIDES, Box
 from grainmesh.element import PAIRS, element, lattice
 from grainmesh.errors import InputError, RunError
@@ -20,7 +19,7 @@ from grainmesh.medium import Fluid, Inflow, NoSlip, Outlet, Slip
 from grainmesh.mesh import flow_mesh
 from grainmesh.navier import Operator
 from grainmesh.nodes import Bounded, bounded
-from grainmesh.spread import spread
+from grainmesh.spread import Spread, spread
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -69,23 +68,27 @@ class Kernel:
 
     Attributes
     ----------
-    share : (n, m)
-        S_iv.
     hats : (m,)
         h_v; 1 for points that are no vertex.
-    area : (n,)
-        A_i.
     porosity : (m,)
         ε at the points, 1 for those that are no vertex.
-    cells : Diagram
-        The cells of the discs.
+    spread : Spread
+        The cells of the discs, and S.
     """
 
-    share: csr_array
     hats: Float
-    area: Float
     porosity: Float
-    cells: Diagram
+    spread: Spread
+
+    @property
+    def share(self) -> csr_array:
+        """S_iv (n, m)."""
+        return self.spread.share
+
+    @property
+    def area(self) -> Float:
+        """A_i [m2], (n,)."""
+        return self.spread.area
 
     def field(self, values: Float) -> Float:
         """Values at the vertices of sum_i values_i ψ_i, (m,) or (m, 2)."""
@@ -536,12 +539,13 @@ class Fields:
         used = op.topology.used
         lost = np.where(used[:, None], 0.0, loads[:m, 2:])  # of nodes that have left
         loads[:m][~used] = 0.0
-        self.kernel = self._kernel(self.kernel.cells)
-        self._load_porosity()
-        self._set_sides()
-        changed = np.abs(self.kernel.porosity - old_porosity) > 1e-13
+        changed = np.zeros(m, dtype=bool)
         changed[op.topology.corners[over.fresh]] = True
         changed[old.topology.corners[over.gone]] = True
+        self.kernel = self._kernel(changed)
+        self._load_porosity()
+        self._set_sides()
+        changed |= np.abs(self.kernel.porosity - old_porosity) > 1e-13
         weight = self.kernel.porosity * self.kernel.hats * used
         momentum = op.momentum()
         missing = np.column_stack([self.Q[:m] - momentum[:m] - loads[:m, :2], lost])
@@ -549,13 +553,14 @@ class Fields:
         self.extra, self.D = loads[:, :2].copy(), loads[:, 2:].copy()
         self.Q = momentum + self.extra
 
-    def _kernel(self, cells: Diagram | None = None) -> Kernel:
-        """Eq. (2) for the present places of discs and vertices."""
+    def _kernel(self, changed: Mask | None = None) -> Kernel:
+        """Eq. (2) for the present places; if given, only corners of triangles have `changed`."""
         mesh, r = self.mesh, 0.5 * self.discs.diameter
         n, m = len(r), len(mesh.points)
         reach = self.fluid.reach * float(self.discs.diameter.max())
         arrays = mesh.points, mesh.triangles, mesh.neighbours, mesh.shifts
-        found = spread(self.box, mesh.points[:n], r, reach, *arrays, cells)
+        before = None if changed is None else self.kernel.spread
+        found = spread(self.box, mesh.points[:n], r, reach, *arrays, before, changed)
         place = self._corners()
         a, b = place[:, 1] - place[:, 0], place[:, 2] - place[:, 0]
         area = 0.5 * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
@@ -570,7 +575,7 @@ class Fields:
                 f"{porosity[low]:.3g} at t = {self.time:g} s, at least {LEAST_POROSITY} is needed: "
                 "raise the stiffness of their contacts, or correct their diameters"
             )
-        return Kernel(found.share, hats, found.area, porosity, found.cells)
+        return Kernel(hats, porosity, found)
 
     def _corners(self) -> Float:
         mesh = self.mesh

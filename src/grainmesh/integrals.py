@@ -157,7 +157,7 @@ def product(K: Float, rows: Int, x: Float, outer: int) -> Float:
 
 
 @njit(cache=True)
-def entries(K: Float, rows: Int, number: Int, count: int) -> tuple[Int, Int, Float, Float]:
+def entries(K: Float, rows: Int, number: Int, count: int) -> tuple[Any, Any, Float, Float]:
     """Entries i >= j of the sum of matrices (t, n, n), some more than once, and its diagonal.
 
     `number` (N,) is -1 for unknowns that are left out.

@@ -73,7 +73,8 @@ def spread(
     triangles: Int,
     neighbours: Int,
     shifts: Int,
-    cells: Diagram | None = None,
+    before: Spread | None = None,
+    changed: NDArray[np.bool_] | None = None,
 ) -> Spread:
     """Shares of the vertices in the power cells of the particles, Eqs. (1)-(3).
 
@@ -88,8 +89,9 @@ def spread(
     points, triangles, neighbours, shifts
         Mesh as in `living.Living`; the first n points are `x`. Vertices may be unused.
 
-    cells : Diagram, optional
-        That of an earlier call with discs at the same places, on whatever mesh.
+    before, changed : Spread, (m,) bool, optional
+        What was found with all points at the same places, and the corners of the triangles, old
+        and new, in which the meshes differ: only what touches these is computed again.
 
     Returns
     -------
@@ -107,14 +109,23 @@ def spread(
     # No cell has a point farther from its particle than this: all is finite without a reach.
     far = box.size if box.periodic else np.maximum(np.abs(x), np.abs(x - box.size)).max(axis=0)
     reach = min(reach, 2.0 * float(np.hypot(*far)))
-    found = cells or diagram(box, inside, radius**2, radius, window, far=2.0 * reach)
+    if before is None or changed is None:
+        found = diagram(box, inside, radius**2, radius, window, far=2.0 * reach)
+        kept = csr_array((len(x), len(points)))
+        again, area = np.ones(len(x), dtype=bool), np.zeros(len(x))
+    else:
+        found, kept, area = before.cells, before.share, before.area.copy()
+        touched = np.zeros(kept.nnz + 1, np.int64)
+        np.cumsum(changed[kept.indices], out=touched[1:])
+        again = touched[kept.indptr[1:]] > touched[kept.indptr[:-1]]
     square, circle = _regular(4, 2.0 * reach), _regular(CORNERS, reach)
     period = box.size if box.periodic else np.zeros(2)
     # Copies: a read-only array would be compiled for once more.
     bonds = found.start, found.neighbour, found.shift
     cell = inside.copy(), radius**2, *bonds, period, square, circle
     mesh = points.copy(), triangles.copy(), neighbours.copy(), shifts.copy()
-    area, missed, start, vertex, share = _shares(*cell, window, not box.periodic, *mesh)
+    old = again, area, kept.indptr, kept.indices, kept.data
+    missed, start, vertex, share = _shares(*cell, window, not box.periodic, *mesh, *old)
     if missed.any():
         i = int(np.flatnonzero(missed)[0])
         if area[i] <= 0.0:
@@ -236,9 +247,12 @@ def _overlap(cell, m, corner, p, q):  # type: ignore[no-untyped-def]
 @njit(cache=True)
 def _shares(  # type: ignore[no-untyped-def]
     x, weight, start, other, image, period, square, circle, window, walls,
-    points, triangles, neighbours, shifts,
+    points, triangles, neighbours, shifts, again, area, old_first, old_vertex, old_share,
 ):  # fmt: skip
-    """Areas, whose walk failed, and the rows of S: first entries, vertices, values."""
+    """Whose walk failed, and the rows of S: first entries, vertices, values; areas in place.
+
+    Rows that are not to be found `again` are the old ones.
+    """
     n, t_max = len(x), len(triangles)
     star = np.full(len(points), -1, np.int32)  # a triangle of each vertex
     for t in range(t_max):
@@ -248,7 +262,7 @@ def _shares(  # type: ignore[no-untyped-def]
     cell, spare = np.empty((room, 4)), np.empty((room, 4))
     p, q = np.empty((room, 4)), np.empty((room, 4))
     corner, phi = np.empty((3, 2)), np.empty(3)
-    area, missed = np.zeros(n), np.zeros(n, np.bool_)
+    missed = np.zeros(n, np.bool_)
     first = np.zeros(n + 1, np.int32)
     vertex, share = np.empty(16 * n + 64, np.int32), np.empty(16 * n + 64)
     slot = np.full(len(points), -1, np.int64)  # entry of each vertex in the row
@@ -258,6 +272,14 @@ def _shares(  # type: ignore[no-untyped-def]
     size = 0
     for i in range(n):
         first[i] = size
+        if not again[i]:
+            while size + old_first[i + 1] - old_first[i] > len(vertex):
+                vertex = np.concatenate((vertex, np.empty_like(vertex)))
+                share = np.concatenate((share, np.empty_like(share)))
+            for e in range(old_first[i], old_first[i + 1]):
+                vertex[size], share[size] = old_vertex[e], old_share[e]
+                size += 1
+            continue
         for outline in (square, circle):  # few cells of a dense bed come near the circle
             m, cell, spare = _cell(
                 i, x, weight, start, other, image, period, outline, window, walls, cell, spare
@@ -321,7 +343,7 @@ def _shares(  # type: ignore[no-untyped-def]
         missed[i] = covered < (1.0 - MISSED) * area[i]
         share[first[i] : size] /= covered
     first[n] = size
-    return area, missed, first, vertex[:size].copy(), share[:size].copy()
+    return missed, first, vertex[:size].copy(), share[:size].copy()
 
 
 @njit(cache=True)
