@@ -48,23 +48,24 @@ class Element:
     @cached_property
     def to_values(self) -> Float:
         """Values at the nodes from unknowns (l, l)."""
-        return _values_at_nodes(self)
+        return self.shape(self.nodes)
 
     @cached_property
-    def _of_values(self) -> Float:
-        """Coefficients of monomials from unknowns (l, l)."""
-        found: Float = np.linalg.solve(self._monomials(self.nodes)[0], self.to_values)
-        return found
+    def _coefficients(self) -> Float:
+        """Those of monomials from unknowns (l, l)."""
+        inside = 0.9 * self.nodes + 0.1 / 3.0  # NGSolve finds no triangle for a corner
+        matrix = self._monomials(inside)[0]
+        return np.asarray(np.linalg.solve(matrix, _values_of_basis(self, inside)), np.float64)
 
     def shape(self, places: Float) -> Float:
         """Values of the basis (q, l)."""
-        found: Float = self._monomials(places)[0] @ self._of_values
+        found: Float = self._monomials(places)[0] @ self._coefficients
         return found
 
     def slope(self, places: Float) -> Float:
         """Derivatives by the second and third barycentric coordinate (q, l, 2)."""
         d = self._monomials(places)[1]
-        found: Float = np.einsum("aqn,nl->qla", d[1:] - d[:1], self._of_values)
+        found: Float = np.einsum("aqn,nl->qla", d[1:] - d[:1], self._coefficients)
         return found
 
     def _monomials(self, places: Float) -> tuple[Float, Float]:
@@ -72,9 +73,9 @@ class Element:
         a, b, c = places.T
         if self.bubble:
             one, zero = np.ones_like(a), np.zeros_like(a)
-            first = [[one, zero, zero, b * c], [zero, one, zero, a * c], [zero, zero, one, a * b]]
+            by = [[one, zero, zero, b * c], [zero, one, zero, a * c], [zero, zero, one, a * b]]
             values = np.stack([a, b, c, a * b * c], axis=1)
-            return values, np.stack([np.stack(part, axis=1) for part in first])
+            return values, np.stack([np.stack(part, axis=1) for part in by])
         k = self.order
         p, q = (np.array([pair[i] for pair in _powers(k)]) for i in (0, 1))
         power = np.stack([p, q, k - p - q])
@@ -139,8 +140,8 @@ def edge_rule(degree: int) -> tuple[Float, Float]:
     return places, weights / weights.sum()
 
 
-def _values_at_nodes(kind: Element) -> Float:
-    """What NGSolve's basis is at the nodes (l, l)."""
+def _values_of_basis(kind: Element, places: Float) -> Float:
+    """What NGSolve's basis is at places (q, 3) inside (q, l)."""
     ngmesh = NetgenMesh(dim=2)
     ngmesh.AddPoints(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
     region = ngmesh.AddRegion("one", dim=2)
@@ -151,11 +152,10 @@ def _values_at_nodes(kind: Element) -> Float:
         space.SetOrder(TRIG, 3)
         space.Update()
     field, columns = GridFunction(space), []
-    inside = 1e-13 + (1.0 - 3e-13) * kind.nodes  # corners must be found inside the mesh
     for unknown in range(space.ndof):
         field.vec[:] = 0.0
         field.vec[unknown] = 1.0
-        columns.append([field(mesh(*x)) for x in inside[:, 1:].tolist()])
+        columns.append([field(mesh(*x)) for x in places[:, 1:].tolist()])
     return np.array(columns).T
 
 
