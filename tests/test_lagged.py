@@ -6,31 +6,40 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from ngsolve import Mesh, unit_square
 
-from grainmesh.lagged import csr, gmres, mended
-from grainmesh.navier import Operator
+from flows import flow
+from grainmesh import integrals, lagged
+from grainmesh.lagged import gmres, mended
 
 
 def operator(order=2, change=0.0, seed=0):
     """An operator with an outlet, its vertices moved by about `change`."""
     mesh = Mesh(unit_square.GenerateMesh(maxh=0.35))
     rng = np.random.default_rng(seed)
-    op = Operator(mesh, order, 1.0, 1.0, pressure=("right",), no_slip=("left", "bottom", "top"))
-    at = np.asarray(mesh.ngmesh.Coordinates())[:, :2]
+    op = flow.Setting(mesh, order, 1.0, 1.0, ("right",), ("left", "bottom", "top")).op
+    at = flow.places(mesh).copy()
     inside = ((at > 1e-9) & (at < 1.0 - 1e-9)).all(axis=1)
     at[inside] += change * rng.uniform(-1.0, 1.0, (inside.sum(), 2))
-    m = mesh.nv
-    op.load(eps=np.ones(m), E=np.ones(m), S=0.01 * np.ones(m), inertia=10.0 * np.ones(m))
+    op.at(at)
+    one = np.ones(mesh.nv)
+    op.load(eps=one, E=one, S=0.01 * one, inertia=10.0 * one)
     op.assemble()
     return op
 
 
 def dense(op):
-    """The matrix of the free unknowns."""
-    return np.array([op.apply(row) for row in np.eye(len(op.free))])[np.ix_(op.free, op.free)]
+    """The matrix of the unknowns sought."""
+    return np.array([op.apply(row) for row in np.eye(len(op.free))])[np.ix_(op.sought, op.sought)]
 
 
 def applied(op):
-    return lambda z: op.free * op.apply(op.free * z)
+    sought = op.sought
+    return lambda z: sought * op.apply(sought * z)
+
+
+def preconditioner(op, names, known=None):
+    """A factor with these names, for these unknowns."""
+    known = op.sought if known is None else known
+    return op.factor(names).preconditioner(np.where(known, names, -1))
 
 
 @pytest.mark.parametrize("kind", ["definite", "indefinite", "not symmetric"])
@@ -75,23 +84,40 @@ def test_gmres_has_nothing_to_do_below_its_tolerance():
     assert not z.any()
 
 
+@pytest.mark.parametrize("many", [0, 10**9])  # all threads, or one
 @pytest.mark.parametrize("order", [1, 2, 3])
-def test_factor_is_the_inverse(order):
+def test_factor_is_the_inverse(order, many, monkeypatch):
+    monkeypatch.setattr(lagged, "MANY", many)
     op, rng = operator(order), np.random.default_rng(1)
     names = rng.permutation(10 * len(op.free))[: len(op.free)]
-    P = op.factor(names).preconditioner(np.where(op.free, names, -1))
-    r = op.free * rng.normal(size=len(op.free))
+    P, sought = preconditioner(op, names), op.sought
+    r = sought * rng.normal(size=len(sought))
     z = P(r)
-    assert not z[~op.free].any()
-    exact = np.linalg.solve(dense(op), r[op.free])
-    assert np.linalg.norm(z[op.free] - exact) < 1e-5 * np.linalg.norm(exact)
+    assert not z[~sought].any()
+    exact = np.linalg.solve(dense(op), r[sought])
+    assert np.linalg.norm(z[sought] - exact) < 1e-5 * np.linalg.norm(exact)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_entries_add_up_to_the_matrix(order):
+    op = operator(order)
+    kept = np.flatnonzero(op.sought)
+    number = np.full(len(op.free), -1)
+    number[kept] = np.arange(len(kept))
+    rows = op.rows[:, : op.outer]
+    i, j, values, diagonal = integrals.entries(op.K, rows, number, len(kept))
+    found = np.zeros((len(kept), len(kept)))
+    np.add.at(found, (i, j), values)
+    exact = dense(op)
+    assert np.allclose(found, np.tril(exact), rtol=0.0, atol=1e-13 * np.abs(exact).max())
+    assert np.allclose(diagonal, np.diag(exact), rtol=0.0, atol=1e-13 * np.abs(exact).max())
 
 
 def test_unknowns_may_be_numbered_anew():
     op, rng = operator(), np.random.default_rng(2)
     names = np.arange(len(op.free))
-    factor, r = op.factor(names), op.free * rng.normal(size=len(op.free))
-    known = np.where(op.free, names, -1)
+    factor, r = op.factor(names), op.sought * rng.normal(size=len(op.free))
+    known = np.where(op.sought, names, -1)
     z = factor.preconditioner(known)(r)
     order = rng.permutation(len(r))
     assert np.array_equal(factor.preconditioner(known[order])(r[order]), z[order])
@@ -100,10 +126,10 @@ def test_unknowns_may_be_numbered_anew():
 def test_unknowns_that_the_factor_does_not_have_stay_0_and_it_forgets_what_is_gone():
     op, rng = operator(), np.random.default_rng(3)
     names = np.arange(len(op.free))
-    factor, r = op.factor(names), op.free * rng.normal(size=len(op.free))
-    known = np.where(op.free, names, -1)
+    factor, r = op.factor(names), op.sought * rng.normal(size=len(op.free))
+    known = np.where(op.sought, names, -1)
     new = rng.random(len(r)) < 0.2
-    z = factor.preconditioner(np.where(new & op.free, known + 10**6, known))(r)
+    z = factor.preconditioner(np.where(new & op.sought, known + 10**6, known))(r)
     assert not z[new].any()
     left_out = factor.preconditioner(known)(np.where(new, 0.0, r))
     assert np.array_equal(z[~new], left_out[~new])
@@ -116,52 +142,37 @@ def test_unknowns_that_the_factor_does_not_have_stay_0_and_it_forgets_what_is_go
 @settings(max_examples=8, deadline=None)
 def test_old_factor_leads_to_the_solution_of_the_new_matrix(seed, change):
     old, new = operator(), operator(change=change, seed=seed)
-    names = np.where(old.free, np.arange(len(old.free)), -1)
-    P = old.factor(np.arange(len(old.free))).preconditioner(names)
-    r = new.free * np.random.default_rng(seed).normal(size=len(new.free))
+    P, sought = preconditioner(old, np.arange(len(old.free))), new.sought
+    r = sought * np.random.default_rng(seed).normal(size=len(sought))
     goal = 1e-10 * np.linalg.norm(r)
     z, _, left = gmres(applied(new), P, r, goal, 80)
     assert left <= goal
     assert np.linalg.norm(r - applied(new)(z)) <= 1.01 * goal
-    exact = np.linalg.solve(dense(new), r[new.free])
-    assert np.linalg.norm(z[new.free] - exact) < 1e-7 * np.linalg.norm(exact)
+    exact = np.linalg.solve(dense(new), r[sought])
+    assert np.linalg.norm(z[sought] - exact) < 1e-7 * np.linalg.norm(exact)
 
 
 def test_mending_solves_where_the_factor_knows_nothing():
     op, rng = operator(), np.random.default_rng(4)
-    r = op.free * rng.normal(size=len(op.free))
+    sought, names = op.sought, np.arange(len(op.free))
+    r = sought * rng.normal(size=len(op.free))
     goal = 1e-10 * np.linalg.norm(r)
     # With no factor at all, and the patch everything, one application is the solution.
-    alone = mended(np.zeros_like, op.apply, *op.blocks, op.free)
-    exact = np.linalg.solve(dense(op), r[op.free])
-    assert np.linalg.norm(alone(r)[op.free] - exact) < 1e-6 * np.linalg.norm(exact)
+    alone = mended(np.zeros_like, op.apply, flow.preconditioner(op, sought))
+    exact = np.linalg.solve(dense(op), r[sought])
+    assert np.linalg.norm(alone(r)[sought] - exact) < 1e-6 * np.linalg.norm(exact)
     # With part of the names unknown it is needed, and pays.
-    names = np.arange(len(op.free))
-    at = np.asarray(op.mesh.ngmesh.Coordinates())[:, :2]
+    mesh = Mesh(unit_square.GenerateMesh(maxh=0.35))
+    middle = flow.places(mesh)[op.topology.corners].mean(axis=1)
     lost = np.zeros(len(names), dtype=bool)
-    for t in op.mesh.Elements():
-        if np.hypot(*(at[[v.nr for v in t.vertices]].mean(axis=0) - 0.5)) < 0.25:
-            lost[[*op.V.GetDofNrs(t), *(op.V.ndof + k for k in op.Q.GetDofNrs(t))]] = True
-    lost &= op.free
-    assert 0 < lost.sum() < op.free.sum()
-    P = op.factor(names).preconditioner(np.where(op.free & ~lost, names, -1))
-    better = mended(P, op.apply, *op.blocks, lost)
+    lost[op.rows[np.hypot(*(middle - 0.5).T) < 0.25]] = True
+    lost &= sought
+    assert 0 < lost.sum() < sought.sum()
+    P = preconditioner(op, names, sought & ~lost)
+    better = mended(P, op.apply, flow.preconditioner(op, lost))
     z, count, left = gmres(applied(op), better, r, goal, 200)
     assert left <= goal
-    assert np.linalg.norm(z[op.free] - exact) < 1e-7 * np.linalg.norm(exact)
+    assert np.linalg.norm(z[sought] - exact) < 1e-7 * np.linalg.norm(exact)
     # After it, nothing is left of the residual inside.
     assert np.abs((r - op.apply(better(r)))[lost]).max() < 1e-5 * np.abs(r).max()
     assert count < gmres(applied(op), P, r, goal, 200)[1]
-
-
-def test_csr_is_the_same_matrix_not_a_copy():
-    op = operator()
-    A = csr(op.a.mat)
-    v = op.a.mat.CreateColVector()
-    v.FV().NumPy()[:] = np.random.default_rng(5).normal(size=A.shape[1])
-    w = op.a.mat.CreateColVector()
-    w.data = op.a.mat * v
-    assert np.allclose(A @ v.FV().NumPy(), w.FV().NumPy(), rtol=1e-13, atol=1e-13)
-    A.data[:] *= 2.0
-    w.data = op.a.mat * v
-    assert np.allclose(A @ v.FV().NumPy(), w.FV().NumPy(), rtol=1e-13, atol=1e-13)
