@@ -75,10 +75,8 @@ def test_unknowns_of_edges_and_of_the_inside_vanish_elsewhere(one):
         assert np.abs(shape[:, alone]).max(initial=0.0) < 1e-14
         assert np.abs(shape[:, shared:]).max(initial=0.0) < 1e-14
         assert np.abs(shape[:, a] + shape[:, b] - 1.0).max() < 1e-14
-        assert (
-            np.abs(shape[:, own] - one.shape(on_the_first(s))[:, 3 : 2 + k]).max(initial=0.0)
-            < 1e-14
-        )
+        first = one.shape(np.stack([1.0 - s, s, 0.0 * s], axis=1))[:, 3 : 2 + k]
+        assert np.abs(shape[:, own] - first).max(initial=0.0) < 1e-14
 
 
 @EACH
