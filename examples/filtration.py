@@ -13,7 +13,6 @@ from pathlib import Path
 import matplotlib
 import matplotlib.pyplot as plt
 import numpy as np
-from ngsolve import BND, Integrate
 
 import grainmesh as gm
 from grainmesh import plot
@@ -43,8 +42,7 @@ def main(out: Path, quick: bool = False) -> gm.Simulation:
 
     def observe(now: gm.Simulation) -> None:
         film(now)
-        op = now.flow.operator
-        p = Integrate(op.p, op.mesh, BND, definedon=op.mesh.Boundaries("left")) / box.height
+        p = now.flow.pressure_at("left") / box.height
         rows.append([now.t, p, (now.x[len(fibres) :, 0] > box.width - layer.width).mean()])
 
     filtration.run(time, every=time / (5 if quick else 80), observe=observe, progress=not quick)

@@ -14,7 +14,6 @@ from pathlib import Path
 import matplotlib
 import matplotlib.pyplot as plt
 import numpy as np
-from ngsolve import BND, Integrate
 
 import grainmesh as gm
 from grainmesh import plot
@@ -43,8 +42,7 @@ def main(out: Path, quick: bool = False) -> gm.Simulation:
 
     def observe(bed: gm.Simulation) -> None:
         film(bed)
-        op = bed.flow.operator
-        p = Integrate(op.p, op.mesh, BND, definedon=op.mesh.Boundaries("bottom")) / box.width
+        p = bed.flow.pressure_at("bottom") / box.width
         rows.append([RAMP * bed.t, p, bed.x[:, 1].mean()])
 
     bed.run(until=time, every=time / (10 if quick else 80), observe=observe, progress=not quick)

@@ -14,7 +14,6 @@ from pathlib import Path
 import matplotlib
 import matplotlib.pyplot as plt
 import numpy as np
-from ngsolve import BND, Integrate
 
 import grainmesh as gm
 from grainmesh import plot
@@ -48,8 +47,7 @@ def main(out: Path, quick: bool = False) -> gm.Simulation:
 
     def observe(bed: gm.Simulation) -> None:
         film(bed)
-        op, touch = bed.flow.operator, bed.wall_contacts
-        p = Integrate(op.p, op.mesh, BND, definedon=op.mesh.Boundaries("bottom"))
+        p, touch = bed.flow.pressure_at("bottom"), bed.wall_contacts
         on_grid = touch.force @ touch.normal[:, 1]
         rows.append([FLOW * (1.0 - bed.t / time), on_grid / weight, p / weight - 1.0])
 

@@ -44,12 +44,7 @@ def weight(box, grains):
 
 def drop(simulation):
     """Mean pressure at the bottom [Pa]; it is 0 at the top."""
-    flow = simulation.flow
-    x, y = flow.mesh.points[flow.grid.vertex].T
-    bottom = np.flatnonzero(y == 0.0)
-    bottom = bottom[np.argsort(x[bottom])]
-    p = flow.operator.p.vec.FV().NumPy()[bottom]
-    return np.trapezoid(p, x[bottom]) / simulation.model.box.width
+    return simulation.flow.pressure_at("bottom") / simulation.model.box.width
 
 
 def held(box, grains, speed, until=0.2, **options):
