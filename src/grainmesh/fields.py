@@ -31,7 +31,7 @@ LEAST_POROSITY = 0.02
 #: Most nodes in open places.
 MANY = 1e6
 #: Iterations at most, and how many of them a new factor costs.
-MOST, FACTOR = 60, 16.0
+MOST, FACTOR = 60, 12.0
 #: What a checkpoint holds besides the mesh and the unknowns.
 NUMBERS = ("time", "dt", "stirring_since", "iterations", "factors", "spent", "since")
 STATE = (

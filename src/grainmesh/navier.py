@@ -187,7 +187,7 @@ class Operator:
             places, one.shape(places), one.slope(places), weight,
         )  # fmt: skip
         if len(self.outlets):  # what flows out takes its momentum with it; what flows in had none
-            velocity, eps, normal, shape = self._at_sides(self.outlets, e, 3 * one.degree)
+            velocity, eps, normal, shape = self._at_sides(self.outlets, e, 3 * self.order + 1)
             out = eps * np.maximum((velocity * normal).sum(axis=2), 0.0)
             rows = self.keys.rows[self.outlets[:, 0]]
             np.subtract.at(drained, rows, np.einsum("bq,bql->bl", out, shape))
