@@ -3,6 +3,8 @@
 Exit status: 0 done; 2 bad input, with one plain line on stderr; 130 interrupted. Results go to
 stdout; progress, warnings and errors to stderr. Lengths on the command line are metres, as in
 Python: only the columns of a file have a unit of their own.
+
+What takes long to load is imported by the verb that needs it, so that ``--help`` is quick.
 """
 
 from __future__ import annotations
@@ -16,22 +18,21 @@ from contextlib import contextmanager
 from dataclasses import replace
 from io import TextIOWrapper
 from pathlib import Path
-from typing import Annotated, cast, get_args
+from typing import TYPE_CHECKING, Annotated, cast, get_args
 
-import numpy as np
 import typer
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from grainmesh import __version__, arrange, report
+from grainmesh import __version__
 from grainmesh.closures import LAWS
-from grainmesh.domain import Box
 from grainmesh.errors import InputError
-from grainmesh.particles import Particles
-from grainmesh.permeability import METHODS, Permeability
-from grainmesh.permeability import permeability as solve
-from grainmesh.resolved import Walls
+
+if TYPE_CHECKING:
+    from grainmesh.domain import Box
+    from grainmesh.particles import Particles
+    from grainmesh.permeability import Permeability
 
 #: The error of the command-line parser, wherever this version of typer takes it from.
 ParserError: type[Exception] = typer.BadParameter.__mro__[2]
@@ -142,7 +143,7 @@ def permeability(
     ] = None,
     method: Annotated[
         str, typer.Option(help="One or more of resolved, mesoscale, microstructure.")
-    ] = ",".join(METHODS),
+    ] = "resolved,mesoscale,microstructure",
     law: Annotated[
         str,
         typer.Option(help=f"Drag law of mesoscale and microstructure: {', '.join(LAWS)}."),
@@ -170,6 +171,13 @@ def permeability(
     of the box cuts, the part inside counts, in every method; discs wholly outside are refused
     unless --crop drops them.
     """
+    import numpy as np
+
+    from grainmesh import arrange, report
+    from grainmesh.permeability import METHODS
+    from grainmesh.permeability import permeability as solve
+    from grainmesh.resolved import Walls
+
     methods = _methods(method)
     if law not in LAWS:
         raise InputError(f"law '{law}' unknown: use one of {', '.join(LAWS)}")
@@ -252,6 +260,8 @@ def paper(
     """Make a figure of the paper again (Yazdchi, Srivastava, Luding 2013), with its numbers."""
     if figure not in FIGURES:
         raise InputError(f"figure '{figure}' unknown: use one of {', '.join(FIGURES)}")
+    from grainmesh import report
+
     report.prove_writable(out, [f"{figure}.png", f"{figure}.csv"])
     with _progress() as tell, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -271,6 +281,8 @@ def _named(tell: Callable[[str], None], method: str) -> Callable[[str], None]:
 
 
 def _methods(text: str) -> list[str]:
+    from grainmesh.permeability import METHODS
+
     methods = list(dict.fromkeys(name.strip() for name in text.split(",")))
     for name in methods:
         if name not in METHODS:
@@ -308,7 +320,7 @@ def _headless() -> None:
 
 def _write(out: Path, box: Box, particles: Particles, results: Sequence[Permeability]) -> None:
     _headless()
-    from grainmesh import plot
+    from grainmesh import plot, report
 
     def as_json(path: Path) -> None:
         text = json.dumps(report.as_dict(results), indent=2, allow_nan=False)
