@@ -12,6 +12,7 @@ import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -303,6 +304,22 @@ def parse(text: str, path: str | Path = "case.toml", changes: Sequence[str] = ()
     return case
 
 
+def starter(name: str) -> str:
+    """The text of a case to begin with, by its name.
+
+    Raises
+    ------
+    InputError
+        If there is none of this name.
+    """
+    folder = files("grainmesh") / "data" / "starters"
+    names = sorted(item.name.removesuffix(".toml") for item in folder.iterdir())
+    if name not in names:
+        near = nearest(name, names)
+        raise InputError(f"starter '{name}' unknown, did you mean {near}? of {', '.join(names)}")
+    return (folder / f"{name}.toml").read_text("utf-8")
+
+
 def schema() -> dict[str, Any]:
     """The JSON schema of case files, for editors."""
     return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | Case.model_json_schema()
@@ -413,4 +430,4 @@ def _prefixed(name: str) -> Iterator[None]:
         raise InputError(said if said.startswith(name) else f"{name}: {said}") from None
 
 
-__all__ = ["Case", "parse", "read", "schema"]
+__all__ = ["Case", "parse", "read", "schema", "starter"]

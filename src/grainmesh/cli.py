@@ -41,6 +41,7 @@ ParserError: type[Exception] = typer.BadParameter.__mro__[2]
 LARGE = 2.0
 FILES = ("permeability.json", "permeability.csv", "permeability.png")
 FIGURES = ("fig1", "fig2", "fig3")
+STARTERS = ("settling", "sedimentation", "fluidised-bed", "filtration", "permeability")
 
 app = typer.Typer(
     name="grainmesh",
@@ -109,6 +110,69 @@ def grainmesh(
         print(f"grainmesh {__version__}")
     elif context.invoked_subcommand is None:
         print(context.get_help())
+
+
+@app.command()
+def new(
+    name: Annotated[str, typer.Argument(help="Name of the case: NAME.toml is written.")],
+    starter: Annotated[
+        str,
+        typer.Option(help=f"What to begin with: {', '.join(STARTERS)}."),
+    ] = STARTERS[0],
+) -> None:
+    """Write a commented case file to begin with."""
+    from grainmesh import case, report
+
+    text = case.starter(starter)
+    path = Path(name if name.endswith(".toml") else f"{name}.toml")
+    if path.exists():
+        raise InputError(f"{path}: is there already; choose another name or remove it")
+    report.write(path.parent, {path.name: lambda to: to.write_text(text, encoding="utf-8")})
+    print(f"{path}\n  grainmesh check {path}\n  grainmesh run {path} --out {path.with_suffix('')}")
+
+
+@app.command()
+def check(
+    file: Annotated[Path, typer.Argument(metavar="CASE", help="Case file (TOML).")],
+    changes: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Change a key, as fluid.viscosity='2 cP'."),
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object in place of the table.")
+    ] = False,
+) -> None:
+    """Arrange and mesh the particles of a case, run nothing: what regime, what cost, what is off.
+
+    Exit status 1 if something is off; the reasons are on stderr.
+    """
+    from grainmesh import case
+    from grainmesh.preview import preview
+
+    with _progress() as tell:
+        tell("arranging")
+        found = preview(case.read(file, changes or ()))
+    if as_json:
+        print(json.dumps(found.to_dict(), indent=2, allow_nan=False))
+    else:
+        table = Table(box=SIMPLE_HEAD)
+        for title in ("", "value", "unit", ""):
+            table.add_column(title, justify="right" if title == "value" else "left")
+        for number in found.numbers:
+            table.add_row(number.name, f"{number.value:.4g}", number.unit, number.words)
+        Console().print(table)
+    for reason in found.reasons:
+        print("off: " + " ".join(reason.split()), file=sys.stderr)
+    if found.reasons:
+        raise typer.Exit(1)
+
+
+@app.command()
+def schema() -> None:
+    """Print the JSON schema of case files, for editors that complete and check TOML."""
+    from grainmesh import case
+
+    print(json.dumps(case.schema(), indent=2))
 
 
 @app.command()
