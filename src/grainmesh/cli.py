@@ -40,6 +40,7 @@ ParserError: type[Exception] = typer.BadParameter.__mro__[2]
 #: Discs thicker than this [m] are rare enough to ask for the unit of the file.
 LARGE = 2.0
 FILES = ("permeability.json", "permeability.csv", "permeability.png")
+FOUND = ("fibres.csv", "fibres.png")
 FIGURES = ("fig1", "fig2", "fig3")
 STARTERS = ("settling", "sedimentation", "fluidised-bed", "filtration", "permeability")
 
@@ -127,7 +128,11 @@ def new(
     path = Path(name if name.endswith(".toml") else f"{name}.toml")
     if path.exists():
         raise InputError(f"{path}: is there already; choose another name or remove it")
-    report.write(path.parent, {path.name: lambda to: to.write_text(text, encoding="utf-8")})
+
+    def as_text(to: Path) -> None:
+        to.write_text(text, encoding="utf-8")
+
+    report.write(path.parent, {path.name: as_text})
     print(f"{path}\n  grainmesh check {path}\n  grainmesh run {path} --out {path.with_suffix('')}")
 
 
@@ -313,6 +318,77 @@ def permeability(
         print(json.dumps(report.as_dict(results), indent=2, allow_nan=False))
     else:
         _show(file, results, told)
+
+
+@app.command()
+def fibres(
+    image: Annotated[Path, typer.Argument(help="Micrograph or slice: PNG, TIFF, JPEG.")],
+    diameter: Annotated[
+        str,
+        typer.Option(
+            metavar="PIXELS", help="Diameter of the fibres, to some 30 %; or least,largest."
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help=f"Folder to write {' and '.join(FOUND)} to.")],
+    pixel: Annotated[
+        float | None, typer.Option(help="Size of a pixel [m]: the list is then in metres.")
+    ] = None,
+    bright: Annotated[
+        bool | None,
+        typer.Option("--bright/--dark", help="Fibres against ground; default: found out."),
+    ] = None,
+    score: Annotated[float, typer.Option(help="Least score of a fibre, from 0 to 1.")] = 0.5,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Find fibres in an image: a list that permeability reads, and a picture for checking."""
+    from grainmesh import fibres as discs
+    from grainmesh import report
+
+    if pixel is not None and not 0.0 < pixel < 1.0:
+        raise InputError(f"pixel {pixel:g} must be its size in metres, as 0.5e-6")
+    report.prove_writable(out, FOUND)
+    try:
+        wanted = [float(part) for part in diameter.split(",")]
+    except ValueError:
+        wanted = []
+    if len(wanted) not in (1, 2):
+        raise InputError(f"diameter '{diameter}' must be pixels: one number, or least,largest")
+    with _progress() as tell:
+        tell("looking for fibres")
+        found = discs.find(
+            image,
+            wanted[0] if len(wanted) == 1 else (wanted[0], wanted[1]),
+            bright=bright,
+            score=score,
+        )
+        tell("writing")
+        _headless()
+        scale, unit = (1.0, "pixels") if pixel is None else (pixel, "m")
+        width, height = (side * scale for side in found.size)
+        rows = [
+            {"x": x * scale, "y": y * scale, "d": 2.0 * r * scale, "score": s}
+            for (x, y), r, s in zip(
+                found.x.tolist(), found.radius.tolist(), found.score.tolist(), strict=True
+            )
+        ]
+        comments = [
+            f"fibres of {image.name}, by grainmesh {__version__}; lengths in {unit}",
+            f"x and y upwards from the lower left corner of the image, {width:g} x {height:g}",
+        ]
+        report.write(
+            out,
+            {
+                FOUND[0]: lambda path: report.write_csv(path, rows, comments),
+                FOUND[1]: lambda path: discs.save_overlay(discs.read(image), found, path),
+            },
+        )
+    if as_json:
+        print(json.dumps(found.to_dict(), indent=2, allow_nan=False))
+        return
+    print(f"{image}: {found!r}")
+    print(f"{out / FOUND[0]}  in {unit}\n{out / FOUND[1]}  look whether all is well")
+    if pixel is not None:
+        print(f"grainmesh permeability {out / FOUND[0]} --window 0,0,{width:g},{height:g}")
 
 
 @app.command()
