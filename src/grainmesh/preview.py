@@ -16,7 +16,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import hypot, inf, isfinite, nan, pi, sqrt
+from math import ceil, hypot, inf, isfinite, nan, pi, sqrt
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -81,7 +81,7 @@ class _Found:
         self.reasons: list[str] = []
 
     def add(self, name: str, value: float, unit: str, words: str) -> None:
-        self.numbers.append(Number(name, float(value), unit, words))
+        self.numbers.append(Number(name, value, unit, words))
 
     def cost(self, unknowns: float, seconds: float) -> None:
         self.add("memory", PROGRAM + UNKNOWN * unknowns, "MiB", "estimate, factor included")
@@ -123,14 +123,14 @@ def _resting(case: Case, about: PermeabilitySection) -> Preview:
         raise InputError(f"{case.path}: {fault}") from None
     porosity = _porosity(box, particles)
     found.add("particles", len(particles), "", "")
-    found.add("porosity", porosity, "", "of the box; where discs overlap, a little more")
+    found.add("porosity", porosity, "", "of the box")
     try:
         gap = triangulate(box, particles).gap_shortest
     except InputError as fault:
         gap = nan
         if set(about.method) != {"resolved"}:
             found.reasons.append(str(fault))
-    found.add("gap", gap, "d", "mean over triangles of their shortest edge, less 1")
+    found.add("gap", gap, "d", "mean shortest edge of triangles / d - 1")
     if isfinite(gap) and set(about.method) != {"resolved"}:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", ClosureWarning)
@@ -158,7 +158,7 @@ def _moving(case: Case) -> Preview:
     pair = mass[0] * mass[min(1, len(mass) - 1)] / (mass[0] + mass[min(1, len(mass) - 1)])
     found.add("contact time", model.contact.contact_time(pair), "s", "of the lightest pair")
     found.add("dt", simulation.dt, "s", "step of the contacts")
-    found.add("steps", steps, "", "of the contacts")
+    found.add("steps", ceil(steps), "", "of the contacts")
     seconds, unknowns = DISC_STEP * steps * len(particles), 0
     speed = hypot(*case.start.velocity)
     if case.fluid is None:
@@ -170,7 +170,7 @@ def _moving(case: Case) -> Preview:
         found.add("unknowns", unknowns, "", "of the flow")
         length = _flow_step(case.fluid, moving, model.gravity, speed, case.run.until)
         count = case.run.until / max(TAKEN * length, simulation.dt)
-        found.add("flow steps", count, "", "estimate")
+        found.add("flow steps", ceil(count), "", "estimate")
         seconds += FLOW_STEP * unknowns * count
     _overlaps(case, simulation, moving, float(mass[-1]), speed, found)
     found.cost(unknowns, seconds)
@@ -224,25 +224,25 @@ def _regime(
         found.reasons.append(f"fluid.drag: {fault}")
         return 0.0
     found.reasons += [f"fluid.drag: {warning.message}" for warning in caught]
+    mass = V * float(moving.density.mean())
     reynolds = fluid.density * U * d / fluid.viscosity
-    found.add("bed porosity", eps, "", "median about the particles, at the start")
-    found.add("Re_p", reynolds, "", "of a particle: rho U d / mu, U the superficial velocity")
+    found.add("bed porosity", eps, "", "median about the particles at t = 0")
+    found.add("Re_p", reynolds, "", "rho U d / mu, U superficial")
     found.add(
         "St",
-        V * moving.density.mean() * w / (b * d),
+        mass * w / (b * d),
         "",
-        "Stokes number: m w / (b d), w = U / porosity",
+        "Stokes number: m w / (b d)",
     )
     archimedes = fluid.density * abs(excess) * g * d**3 / fluid.viscosity**2
-    found.add("Ar", archimedes, "", "Archimedes number: rho drho g d^3 / mu^2")
+    found.add("Ar", archimedes, "", "Archimedes number")
     length = _flow_step(fluid, moving, model.gravity, w, case.run.until if case.run else inf)
     found.add("flow dt", TAKEN * length, "s", "step of the flow, estimate")
-    mass = V * float(moving.density.mean())
     found.add("b dt/m", b * TAKEN * length / mass, "", "drag number")
     if settled:
-        found.add("U_mf", rate, "m/s", "minimum fluidisation: mean of Eq. (1) over the particles")
+        found.add("U_mf", rate, "m/s", "superficial, minimum fluidisation")
     else:
-        found.add("settling velocity", rate, "m/s", "Eq. (1) at the bed porosity")
+        found.add("settling velocity", rate, "m/s", "superficial, at the bed porosity")
     if isinstance(law, Permeability) and reynolds > CREEPING:
         one = np.array([reynolds])
         if float(law.law.inertia(one, np.array([eps]), np.array([0.01]))[0]) == 1.0:
@@ -392,7 +392,7 @@ def _overlaps(
     weight = np.abs((moving.density - lighter) * volume).sum() * np.array(model.gravity)
     floor = 0.0 if model.box.periodic else float(np.abs(weight / model.box.size[::-1]).max())
     resting = 2.0 * floor / k
-    found.add("overlap under weight", resting, "r", "at the floor of a settled bed")
+    found.add("overlap under weight", resting, "r", "at the floor of the bed")
     if meeting > MEETING or resting > RESTING_OVERLAP:
         needed = k * max((meeting / (0.5 * MEETING)) ** 2, resting / 0.01)
         found.reasons.append(
