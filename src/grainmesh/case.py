@@ -8,10 +8,12 @@ A case has a section ``run`` (particles that move) or ``permeability`` (particle
 
 from __future__ import annotations
 
+import json
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from difflib import get_close_matches
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -46,8 +48,16 @@ if TYPE_CHECKING:
 
 #: Most steps of a particle, all together, that settling before time 0 may take: a minute or so.
 LONGEST = 1e9
-#: Words for what pydantic says of a number.
-BOUNDS = {"greater_than", "greater_than_equal", "less_than", "less_than_equal"}
+#: Words for what pydantic says of a value.
+WORDS = {
+    "missing": "has too few values",
+    "too_long": "has too many values",
+    "tuple_type": "must be a list",
+    "list_type": "must be a list",
+    "model_type": "must be a table of keys",
+    "model_attributes_type": "must be a table of keys",
+    "string_type": "must be text",
+}
 
 
 class Case(Section):
@@ -280,13 +290,14 @@ def read(path: str | Path, changes: Sequence[str] = ()) -> Case:
         One line with the file, the key, what is wrong and what to do.
     """
     path = Path(path)
+    if "\0" in str(path) or not path.is_file():
+        raise InputError(f"{path}: there is no such file; `grainmesh new` makes a case file")
     try:
-        text = path.read_bytes().decode("utf-8-sig")
+        text = path.read_text("utf-8-sig")
     except UnicodeDecodeError:
         raise InputError(f"{path}: not a text file in UTF-8") from None
-    except (OSError, ValueError) as fault:
-        why = getattr(fault, "strerror", None) or str(fault)
-        raise InputError(f"{path}: {why}; name a case file, `grainmesh new` makes one") from None
+    except OSError as fault:
+        raise InputError(f"{path}: {fault.strerror}") from None
     return parse(text, path, changes)
 
 
@@ -365,9 +376,14 @@ def _changed(
             here, there = here[part], there[part]
         here[keys[-1]], there[keys[-1]] = new, new
     text = tomlkit.dumps(document)
-    if _loaded(text, f"{path} with changes") != data:
+    if _plain(_loaded(text, f"{path} with changes")) != _plain(data):
         raise InputError(f"{path}: the changes cannot be written into this file, edit it by hand")
     return text, data
+
+
+def _plain(data: dict[str, Any]) -> str:
+    """Data as text that can be compared: undefined numbers are equal there."""
+    return json.dumps(data, sort_keys=True, default=str)
 
 
 def _line(fault: ValidationError, data: dict[str, Any]) -> str:
@@ -383,10 +399,9 @@ def _line(fault: ValidationError, data: dict[str, Any]) -> str:
         return f"{dot}{about['key']}: missing; {about['about']}"
     if kind == "union_tag_not_found":
         tag = about["discriminator"].strip("'")
-        words = list(given) if isinstance(given, dict) else []
-        near = nearest(tag, words) if words else ""
-        if near and nearest(near, [tag, "number", "file", "diameter", "density"]) == tag:
-            return f"{dot}{near}: unknown key, did you mean {tag}?"
+        near = get_close_matches(tag, given if isinstance(given, dict) else (), 1)
+        if near:
+            return f"{dot}{near[0]}: unknown key, did you mean {tag}?"
         return f"{dot}{tag}: missing; it says which kind this is"
     if kind == "union_tag_invalid":
         names = [name.strip("' ") for name in about["expected_tags"].split(",")]
@@ -399,11 +414,9 @@ def _line(fault: ValidationError, data: dict[str, Any]) -> str:
     if kind == "value_error":
         said = str(about["error"])
         return f"{dot[:-1]}: {said}" if where and not said.startswith(f"{where}:") else said
-    said = error["msg"].replace("Input should", "must").replace("Tuple", "list")
-    said = said.replace("valid dictionary or instance of", "section, as of")
-    if kind in BOUNDS or not isinstance(given, (dict, list)):
-        return f"{where}: {shown(given)} {said}"
-    return f"{where}: {said}"
+    said = WORDS.get(kind) or error["msg"].replace("Input should", "must")
+    plain = not isinstance(given, (dict, list, tuple))
+    return f"{where}: {shown(given)} {said}" if plain else f"{where}: {said}"
 
 
 def _where(loc: tuple[int | str, ...], data: Any) -> str:

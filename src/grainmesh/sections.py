@@ -318,10 +318,13 @@ class Listed(_Discs):
     def build(self, box: Box | None, periodic: bool, folder: Path) -> tuple[Box, Particles]:
         from grainmesh import arrange
 
-        if "\0" in self.file:
-            raise InputError("the file has no possible name")
+        path = folder / self.file
+        if "\0" in self.file or not path.is_file():
+            raise InputError(
+                f"file: there is no file {shown(str(path))}; give its path from {folder}"
+            )
         found_box, found = arrange.from_csv(
-            folder / self.file,
+            path,
             unit=self.unit,
             diameter=self.diameter,
             width=box.width if box else None,
