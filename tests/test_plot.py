@@ -187,7 +187,7 @@ def test_discs_are_coloured_by_values_each_image_by_its_own():
 
 
 def test_histories_name_their_unit_and_leave_out_what_is_not_there():
-    rows = {"kinetic": ("t", [1.0, 2.0], {"units": "J/m"}), "height": ("t", [3.0, 4.0])}
+    rows = {"kinetic": ("t", [1.0, 2.0], {"units": "J m-1"}), "height": ("t", [3.0, 4.0])}
     table = Dataset(rows, coords={"t": [0.0, 0.5]})
     ax = plot.histories(table, "kinetic", "rotational")
     assert ax.get_ylabel() == "kinetic [J/m]"

@@ -6,48 +6,53 @@ or dark setting and prints well.
 
 from __future__ import annotations
 
-import re
-from base64 import b64encode
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from importlib.resources import files
-from io import BytesIO, StringIO
+from pathlib import Path
+from platform import machine, python_version
+from typing import Any
 
 import numpy as np
-from matplotlib import colormaps, rc_context
-from matplotlib.axes import Axes
-from matplotlib.colors import to_hex
+from matplotlib import rc_context
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from xarray import Dataset
 
-from grainmesh import __version__, cite, plot
-from grainmesh.domain import Box
-from grainmesh.frames import Frame
-from grainmesh.simulation import Simulation
-
-Float = NDArray[np.float64]
+from grainmesh import __version__, cite, history, markup, plot, vtkhdf
+from grainmesh.case import read as read_case
+from grainmesh.errors import InputError
+from grainmesh.fields import Sample
+from grainmesh.particles import Particles
+from grainmesh.simulation import Simulation, resume
 
 NAME = "report.html"
-#: Pictures: longest side [CSS pixels], and how many pixels of theirs make one.
-LONGEST, SHARP = 420, 2
 #: Plots of histories: title, and variables of one unit; what a run lacks is left out.
 PLOTS = {
-    "Energies": ("kinetic", "rotational", "elastic", "fluid kinetic"),
-    "Height of the bed": ("height",),
-    "Pressure drop": ("pressure drop",),
+    "Energies": ("kinetic", "rotational", "elastic", "fluid_kinetic"),
+    "Height of the bed": ("bed_height", "height"),
+    "Momentum of the particles": ("momentum_x", "momentum_y"),
+    "Pressure drop": ("pressure_drop_x", "pressure_drop_y"),
     "Slip of the fluid against the particles": ("slip",),
     "Contacts": ("contacts",),
-    "Residuals": ("momentum residual", "volume residual"),
-    "Step of the flow": ("flow step",),
+    "Residuals": ("energy_residual", "volume_residual"),
+    "Step of the flow": ("flow_step",),
     "Iterations of the linear solver": ("iterations",),
 }
+TITLES = {
+    "speed": "Speed of the fluid",
+    "pressure": "Dynamic pressure",
+    "porosity": "Porosity",
+    "discs": "Speed of the discs",
+    "chains": "Forces between discs",
+}
+#: Pieces that each edge of the mesh is cut into, where a flow is drawn as it is now.
+CUTS = 2
 #: What the page is allowed to load: nothing but what it holds.
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
-#: Colours of a plot that stand for those of the page, and what they become there.
-INK = "#010203"
-LINES = {f"#0a0b{i:02x}": f"var(--c{i})" for i in range(6)}
+#: Names of parts of the time in words; the others are parts of a step of the flow.
+PARTS = {"steps": "contacts", "upkeep": "search for contacts"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,12 +65,12 @@ class Run:
         Name of the run, and the text of its case.
     simulation : Simulation
         Its last state.
-    frames : sequence of Frame
-        To be drawn beside each other, first to last.
+    frames : sequence of (vtkhdf.Frame, vtkhdf.Frame or None)
+        Discs and flow, to be drawn beside each other, first to last.
     table : xarray.Dataset
         The history, see `history.table`.
     seconds : mapping
-        Processor time by its use.
+        Time spent by its use [s].
     environment : mapping
         Versions and machine.
     """
@@ -73,10 +78,91 @@ class Run:
     title: str
     case: str
     simulation: Simulation
-    frames: Sequence[Frame]
+    frames: Sequence[tuple[vtkhdf.Frame, vtkhdf.Frame | None]]
     table: Dataset
     seconds: Mapping[str, float]
-    environment: Mapping[str, str]
+    environment: Mapping[str, Any]
+
+
+def write(source: str | Path | Simulation, path: str | Path | None = None) -> Path:
+    """Write the page of a run.
+
+    Parameters
+    ----------
+    source : path or Simulation
+        The folder of a run, or a simulation as it is now.
+    path : path, optional
+        The file to write; ``report.html`` in the folder if not given.
+
+    Returns
+    -------
+    Path
+        What was written.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no run, or nothing can be written.
+    """
+    if isinstance(source, Simulation):
+        run = of_simulation(source)
+        path = Path(NAME if path is None else path)
+    else:
+        run = of_folder(Path(source))
+        path = Path(source) / NAME if path is None else Path(path)
+    text, new = html(run), path.with_suffix(".new")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        new.write_text(text, encoding="utf-8")
+        new.replace(path)
+    except OSError as fault:
+        raise InputError(f"{path}: cannot be written ({fault.strerror})") from None
+    return path
+
+
+def of_simulation(simulation: Simulation, title: str = "A simulation") -> Run:
+    """What can be told of a simulation that has left no files."""
+    flow = simulation.flow
+    frame = vtkhdf.discs(simulation), vtkhdf.flow(simulation, CUTS) if flow else None
+    seconds = simulation.seconds | (flow.seconds if flow else {})
+    about = {"grainmesh": __version__, "python": python_version(), "machine": machine()}
+    return Run(title, "", simulation, [frame], history.table(simulation), seconds, about)
+
+
+def of_folder(folder: Path) -> Run:
+    """What the files of a run tell.
+
+    Raises
+    ------
+    InputError
+        If a file is missing or damaged.
+    """
+    text = folder / "case.toml"
+    case = read_case(text) if text.is_file() else None
+    simulation = case.resume(folder) if case else resume(folder)
+    count = len(vtkhdf.times(folder / vtkhdf.DISCS))
+    box, wet = simulation.model.box, (folder / vtkhdf.FLOW).is_file()
+    many = min(count, 4 if box.height > 1.5 * box.width else 3 if box.height > box.width else 2)
+    frames = [
+        (
+            vtkhdf.read(folder / vtkhdf.DISCS, k),
+            vtkhdf.read(folder / vtkhdf.FLOW, k) if wet else None,
+        )
+        for k in np.linspace(0, count - 1, many).round().astype(int)
+    ]
+    about = _json(folder / "environment.json")
+    seconds = about.pop("seconds", {})
+    title = (case and case.title) or folder.resolve().name
+    written = case.text if case else ""
+    return Run(title, written, simulation, frames, history.read(folder), seconds, about)
+
+
+def _json(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as fault:
+        raise InputError(f"{path}: cannot be read ({fault})") from None
+    return found if isinstance(found, dict) else {}
 
 
 def html(run: Run) -> str:
@@ -85,7 +171,7 @@ def html(run: Run) -> str:
         _head(run),
         _section("Pictures", _pictures(run)),
         _section("Histories", _plots(run.table)),
-        _section("Balance", _balance(run.table)),
+        _section("Ledger", _ledger(run.table)),
         _section("Case", f"<pre>{escape(run.case)}</pre>" if run.case else ""),
         _section("Time spent", _times(run.seconds)),
         _section("Made with", _rows(run.environment.items())),
@@ -124,7 +210,7 @@ def _head(run: Run) -> str:
     size = f"{low} mm" if low == high else f"{low} to {high} mm"
     lead = (
         f"{len(now):,} discs of {size} in a {'periodic ' if box.periodic else ''}box of "
-        f"{_metres(box.width)} × {_metres(box.height)}"
+        f"{markup.metres(box.width)} × {markup.metres(box.height)}"
     )
     lead += (
         ", without a fluid."
@@ -132,19 +218,22 @@ def _head(run: Run) -> str:
         else f", in a fluid of {fluid.density:.4g} kg/m³ and {fluid.viscosity:.3g} Pa s; "
         f"drag law {fluid.drag.name}."
     )
-    numbers = [("time reached", f"{now.t:.4g}", "s"), ("steps", f"{now.step:,}", "")]
+    numbers: list[tuple[str, ...]] = [
+        ("time reached", f"{now.t:.4g}", "s"),
+        ("steps", f"{now.step:,}", ""),
+    ]
     measured = now.measure()
     solid = 0.25 * np.pi * float((d**2).sum()) / box.area
     numbers += [
         ("porosity of the box", f"{1.0 - solid:.3f}", ""),
         ("contacts", f"{measured['contacts']:,.0f}", ""),
-        ("height", *_metres(measured["height"]).split()),
-        ("deepest overlap", f"{100.0 * measured['overlap']:.2g}", "% of a radius"),
+        ("height", *markup.metres(measured["height"]).split()),
+        ("deepest overlap, of a radius", f"{100.0 * measured['overlap']:.2g}", "%"),
     ]
     if now.flow is not None:
         numbers.append(("triangles of the flow", f"{len(now.flow.mesh.triangles):,}", ""))
     if run.seconds:
-        numbers.append(("run time", *_duration(sum(run.seconds.values())).split()))
+        numbers.append(("run time", *markup.duration(sum(run.seconds.values())).split()))
     tiles = "".join(
         f"<div><dt>{name}</dt><dd>{value}{f' <small>{unit}</small>' if unit else ''}</dd></div>"
         for name, value, unit in numbers
@@ -157,84 +246,87 @@ def _head(run: Run) -> str:
 
 def _pictures(run: Run) -> str:
     """Each field in every frame, on one scale; the forces between discs at the end."""
-    box, frames = run.simulation.model.box, run.frames
-    found = []
-    flows = [frame.flow for frame in frames if frame.flow is not None]
-    for show, unit in plot.SHOWN.items() if flows else ():
+    box, found = run.simulation.model.box, []
+    grains = [Particles(discs.points, 2.0 * discs.fields["radius"]) for discs, _ in run.frames]
+    when = [f"{discs.t:.3g} s" for discs, _ in run.frames]
+    flows = [
+        Sample(flow.points, flow.triangles, **flow.fields)
+        for _, flow in run.frames
+        if flow is not None and flow.triangles is not None
+    ]
+    for show, unit in plot.SHOWN.items() if len(flows) == len(grains) else ():
         values = [np.hypot(*f.velocity.T) if show == "speed" else getattr(f, show) for f in flows]
         low, high = np.quantile(np.concatenate(values), [0.02, 0.98])
         limits = (0.0 if show == "speed" else float(low), float(high))
         images = []
-        for frame in frames:
-            if frame.flow is None:
-                continue
-            figure, ax = _canvas(box)
-            plot.field(box, frame.flow, ax, show=show)
+        for flow, particles, time in zip(flows, grains, when, strict=True):
+            figure, ax = markup.canvas(box)
+            plot.field(box, flow, ax, show=show)
             ax.collections[0].set_clim(*limits)
-            plot.discs(box, frame.particles, ax)
-            images.append(_png(figure, box, f"{frame.t:.3g} s"))
-        title = {"speed": "Speed of the fluid", "pressure": "Dynamic pressure"}.get(
-            show, "Porosity"
-        )
-        found.append(_field(title, images, _scale(*limits, unit)))
-    speeds = [np.hypot(*frame.velocity.T) for frame in frames]
+            plot.discs(box, particles, ax)
+            images.append(markup.png(figure, box, time))
+        found.append(_field(TITLES[show], images, markup.scale(*limits, unit, plot.SPEED)))
+    speeds = [np.hypot(*discs.fields["velocity"].T) for discs, _ in run.frames]
     top = max(float(np.quantile(np.concatenate(speeds), 0.98)), 1e-12)
     images = []
-    for frame, speed in zip(frames, speeds, strict=True):
-        figure, ax = _canvas(box)
-        plot.discs(box, frame.particles, ax, colour=speed)
+    for particles, speed, time in zip(grains, speeds, when, strict=True):
+        figure, ax = markup.canvas(box)
+        plot.discs(box, particles, ax, colour=speed)
         ax.collections[0].set_clim(0.0, top)
-        images.append(_png(figure, box, f"{frame.t:.3g} s"))
-    found.append(_field("Speed of the discs", images, _scale(0.0, top, "m/s")))
-    strong = run.simulation.contacts.force
-    if len(strong):
-        figure, ax = _canvas(box)
+        images.append(markup.png(figure, box, time))
+    found.append(_field(TITLES["discs"], images, markup.scale(0.0, top, "m/s", plot.SPEED)))
+    force = run.simulation.contacts.force
+    if len(force):
+        figure, ax = markup.canvas(box)
         plot.chains(run.simulation, plot.discs(box, run.simulation.particles, ax))
-        caption = f"strongest {_number(float(strong.max()))} N/m, mean {_number(strong.mean())} N/m"
-        images = [_png(figure, box, f"{run.simulation.t:.3g} s")]
-        found.append(_field("Forces between discs", images, f"<span>{caption}</span>"))
+        mean, most = (markup.number(float(v)) for v in (force.mean(), force.max()))
+        caption = f"mean {mean} N/m, strongest {most} N/m"
+        images = [markup.png(figure, box, f"{run.simulation.t:.3g} s")]
+        found.append(_field(TITLES["chains"], images, f"<span>{caption}</span>"))
     return f'<div class="fields">{"".join(found)}</div>'
+
+
+def _field(title: str, images: Sequence[str], scale: str) -> str:
+    return (
+        f'<figure><figcaption>{title}</figcaption><div class="frames">{"".join(images)}</div>'
+        f'<div class="scale">{scale}</div></figure>'
+    )
 
 
 def _plots(table: Dataset) -> str:
     """Inline SVG in the fonts and colours of the page."""
     if table.sizes.get("t", 0) < 2:
         return ""
-    found = []
+    found: list[str] = []
     for title, names in PLOTS.items():
         if not any(name in table for name in names):
             continue
-        with rc_context({
-            "svg.fonttype": "none", "text.parse_math": False, "text.color": INK,
-            "axes.edgecolor": INK, "axes.labelcolor": INK, "xtick.color": INK, "ytick.color": INK,
-            "axes.prop_cycle": "cycler('color', [" + ", ".join(map(repr, LINES)) + "])",
-            "font.size": 9.0, "axes.linewidth": 0.6, "axes.formatter.limits": (-3, 4),
-        }):  # fmt: skip
+        with rc_context(markup.STYLE):
             figure = Figure(figsize=(4.4, 2.5), layout="constrained")
             plot.histories(table, *names, ax=figure.add_subplot())
             caption = f"<figcaption>{title}</figcaption>"
-            found.append(f"<figure>{caption}{_svg(figure, title, len(found))}</figure>")
+            found.append(f"<figure>{caption}{markup.svg(figure, title, len(found))}</figure>")
     return f'<div class="plots">{"".join(found)}</div>' if found else ""
 
 
-def _balance(table: Dataset) -> str:
+def _ledger(table: Dataset) -> str:
     """What every measured number was at first and at last, and how far it went."""
-    names = [str(n) for n in table.data_vars if table[n].dims == ("t",) and n not in ("step",)]
-    if table.sizes.get("t", 0) == 0 or not names:
-        return ""
     rows = []
-    for name in names:
-        values = np.asarray(table[name], dtype=float)
-        cells = (values[0], values[-1], np.nanmin(values), np.nanmax(values))
-        unit = table[name].attrs.get("units", "1")
+    for name, values in table.data_vars.items():
+        if values.dims != ("t",) or values.size == 0 or name in ("step", "particles"):
+            continue
+        cells = [
+            markup.number(float(v)) for v in (values[0], values[-1], values.min(), values.max())
+        ]
         rows.append(
-            f"<tr><td>{escape(name)}</td>"
-            + "".join(f'<td class="n">{_number(v)}</td>' for v in cells)
-            + f"<td>{'' if unit == '1' else escape(unit)}</td></tr>"
+            f"<tr><td>{escape(values.attrs.get('long_name', str(name)))}</td>"
+            + "".join(f'<td class="n">{cell}</td>' for cell in cells)
+            + f"<td>{escape(plot.readable(values.attrs.get('units', '1')))}</td></tr>"
         )
-    t = np.asarray(table["t"], dtype=float)
-    heads = ("", f"at {t[0]:.3g} s", f"at {t[-1]:.3g} s", "least", "greatest", "unit")
-    head = "".join(f"<th{' class=n' if 0 < i < 5 else ''}>{h}</th>" for i, h in enumerate(heads))
+    if not rows:
+        return ""
+    heads = ("", *(f"at {float(table['t'][k]):.3g} s" for k in (0, -1)), "least", "most", "")
+    head = "".join(f"<th{' class=n' if 0 < k < 5 else ''}>{h}</th>" for k, h in enumerate(heads))
     return (
         f'<div class="wide"><table><thead><tr>{head}</tr></thead>'
         f"<tbody>{''.join(rows)}</tbody></table></div>"
@@ -246,7 +338,8 @@ def _times(seconds: Mapping[str, float]) -> str:
     if total <= 0.0:
         return ""
     rows = "".join(
-        f'<tr><td>{escape(name)}</td><td class="n">{_duration(value)}</td>'
+        f"<tr><td>{escape(PARTS.get(name, f'flow: {name}'))}</td>"
+        f'<td class="n">{markup.duration(value)}</td>'
         f'<td class="n">{100.0 * value / total:.1f} %</td>'
         f'<td class="bar"><i style="width:{100.0 * value / total:.1f}%"></i></td></tr>'
         for name, value in sorted(seconds.items(), key=lambda item: -item[1])
@@ -254,90 +347,12 @@ def _times(seconds: Mapping[str, float]) -> str:
     return f'<div class="wide"><table><tbody>{rows}</tbody></table></div>'
 
 
-def _rows(pairs: Iterable[tuple[str, str]]) -> str:
+def _rows(pairs: Iterable[tuple[str, Any]]) -> str:
     rows = "".join(
-        f"<tr><th>{escape(str(name))}</th><td>{escape(str(value))}</td></tr>"
+        f"<tr><th>{escape(str(name))}</th><td>{escape(markup.words(value))}</td></tr>"
         for name, value in pairs
     )
     return f'<div class="wide"><table><tbody>{rows}</tbody></table></div>' if rows else ""
 
 
-# --- pictures ------------------------------------------------------------------------------------
-
-
-def _canvas(box: Box) -> tuple[Figure, Axes]:
-    """A figure that is all box, without axes."""
-    size = np.asarray(box.size) / np.max(box.size) * LONGEST / 100.0
-    figure = Figure(figsize=tuple(size), dpi=100 * SHARP)
-    ax = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    ax.set_axis_off()
-    return figure, ax
-
-
-def _png(figure: Figure, box: Box, when: str) -> str:
-    """An image with its caption, all in the text of the page."""
-    for ax in figure.axes:
-        ax.set_axis_off()
-    data = BytesIO()
-    figure.savefig(data, format="png", transparent=True)
-    width, height = (np.asarray(box.size) / np.max(box.size) * LONGEST).round().astype(int)
-    source = f"data:image/png;base64,{b64encode(data.getvalue()).decode()}"
-    return (
-        f'<div><img src="{source}" width="{width}" height="{height}" alt="the box at {when}">'
-        f"<span>{when}</span></div>"
-    )
-
-
-def _field(title: str, images: Sequence[str], scale: str) -> str:
-    return (
-        f'<figure><figcaption>{title}</figcaption><div class="frames">{"".join(images)}</div>'
-        f'<div class="scale">{scale}</div></figure>'
-    )
-
-
-def _scale(low: float, high: float, unit: str) -> str:
-    """A bar of the colours from low to high."""
-    steps = ",".join(to_hex(colormaps[plot.SPEED](v)) for v in np.linspace(0.0, 1.0, 9))
-    bar = f'<i style="background:linear-gradient(to right,{steps})"></i>'
-    return f"{_number(low)}{bar}{_number(high)} {unit}"
-
-
-def _svg(figure: Figure, title: str, number: int) -> str:
-    text = StringIO()
-    figure.savefig(text, format="svg", transparent=True, metadata={"Date": None})
-    found = text.getvalue()
-    found = found[found.index("<svg") :]
-    found = re.sub(r"<metadata>.*?</metadata>", "", found, flags=re.DOTALL)
-    found = re.sub(r'<svg ([^>]*?)width="[^"]*" height="[^"]*"', r"<svg \1", found, count=1)
-    found = re.sub(r"""font: ([\d.]+)px [^;"]*""", r"font-size: \1px", found)
-    found = re.sub(r'id="', f'id="p{number}-', found)
-    found = re.sub(r'(url\(|href=")#', rf"\1#p{number}-", found)
-    for colour, here in {INK: "currentColor", **LINES}.items():
-        found = found.replace(colour, here)
-    return found.replace("<svg ", f'<svg role="img" aria-label="{escape(title)}" ', 1)
-
-
-# --- numbers -------------------------------------------------------------------------------------
-
-
-def _number(value: float) -> str:
-    """Four digits, with a power of ten where that is shorter, and true signs."""
-    text = f"{float(value):.4g}"
-    if "e" in text:
-        digits, power = text.split("e")
-        text = f"{digits}·10<sup>{int(power)}</sup>"
-    return text.replace("-", "−")
-
-
-def _metres(value: float) -> str:
-    for unit, size in (("m", 1.0), ("mm", 1e-3), ("µm", 1e-6)):
-        if value >= size:
-            return f"{value / size:.4g} {unit}"
-    return f"{value * 1e9:.4g} nm"
-
-
-def _duration(seconds: float) -> str:
-    for unit, size in (("h", 3600.0), ("min", 60.0), ("s", 1.0)):
-        if seconds >= 2.0 * size:
-            return f"{seconds / size:.1f} {unit}"
-    return f"{1e3 * seconds:.0f} ms"
+__all__ = ["NAME", "Run", "html", "of_folder", "of_simulation", "used", "write"]

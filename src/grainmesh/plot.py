@@ -6,6 +6,7 @@ it are drawn. Nothing here chooses a backend or shows a window.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from dataclasses import field as attribute
@@ -416,16 +417,21 @@ def histories(table: Dataset, *names: str, ax: Axes | None = None) -> Axes:
     ax = plt.subplots()[1] if ax is None else ax
     shown = [table[name] for name in names if name in table]
     for values in shown:
-        ax.plot(table["t"], values, label=str(values.name), lw=1.4)
-    unit = shown[0].attrs.get("units", "1") if shown else "1"
+        ax.plot(table["t"], values, label=str(values.name).replace("_", " "), lw=1.4)
+    unit = readable(shown[0].attrs.get("units", "1")) if shown else ""
     ax.set(xlabel="time [s]", xmargin=0.0)
     if len(shown) > 1:
         ax.legend(frameon=False)
-        ax.set_ylabel("" if unit == "1" else f"[{unit}]")
+        ax.set_ylabel(unit and f"[{unit}]")
     elif shown:
-        ax.set_ylabel(f"{names[0]}" if unit == "1" else f"{names[0]} [{unit}]")
+        ax.set_ylabel(str(shown[0].name).replace("_", " ") + (unit and f" [{unit}]"))
     ax.spines[["top", "right"]].set_visible(False)
     return ax
+
+
+def readable(unit: str) -> str:
+    """A unit of a table as people write it: J/m for "J m-1", nothing for "1"."""
+    return "" if unit == "1" else re.sub(r" (\w+)-1", r"/\1", unit)
 
 
 def bars(results: Sequence[Permeability], ax: Axes | None = None) -> Axes:
@@ -495,6 +501,7 @@ __all__ = [
     "mesh",
     "motion",
     "overview",
+    "readable",
     "sample",
     "save",
     "speed",
