@@ -115,6 +115,10 @@ class Damaged(InputError):
     """A checkpoint that is not there or not as it was written."""
 
 
+class Asked(InputError):
+    """A checkpoint that needs a function again."""
+
+
 def _read(path: Path, fluid: Fluid | None) -> tuple[Model, dict[str, Any], Arrays]:
     whole, asked = _checked(path), False
     try:
@@ -143,7 +147,7 @@ def _read(path: Path, fluid: Fluid | None) -> tuple[Model, dict[str, Any], Array
     if fluid is not None and model.fluid is not fluid:
         raise InputError(f"{path}: the fluid of the model is in the file, drop fluid=")
     if asked:
-        raise InputError(
+        raise Asked(
             f"{path}: give the fluid of the model again, its drag or an inflow was a function"
         )
     return model, numbers, arrays
@@ -201,4 +205,4 @@ def _fields(model: Model) -> dict[str, Any]:
     }
 
 
-__all__ = ["FUNCTION", "NAME", "OLD", "Damaged", "read", "versions", "write"]
+__all__ = ["FUNCTION", "NAME", "OLD", "Asked", "Damaged", "read", "versions", "write"]

@@ -1,8 +1,9 @@
 """The command line: verbs over files, and the only module that prints.
 
-Exit status: 0 done; 2 bad input, with one plain line on stderr; 130 interrupted. Results go to
-stdout; progress, warnings and errors to stderr. Lengths on the command line are metres, as in
-Python: only the columns of a file have a unit of their own.
+Exit status: 0 done; 1 a run that cannot go on, or a case that is off; 2 bad input, with one plain
+line on stderr; 130 or 143 interrupted. Results go to stdout; progress, warnings and errors to
+stderr. Lengths on the command line are metres, as in Python: only the columns of a file have a unit
+of their own.
 
 What takes long to load is imported by the verb that needs it, so that ``--help`` is quick.
 """
@@ -27,7 +28,7 @@ from rich.table import Table
 
 from grainmesh import __version__
 from grainmesh.closures import LAWS
-from grainmesh.errors import InputError
+from grainmesh.errors import InputError, RunError
 
 if TYPE_CHECKING:
     from grainmesh.domain import Box
@@ -85,6 +86,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(f"{text.rstrip('.')}; see {path} --help")
     except InputError as error:
         return _fail(str(error))
+    except RunError as error:
+        _fail(str(error))
+        return 1
     except BrokenPipeError:  # the reader has gone, as in `| head`: nobody is left to tell
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
@@ -170,6 +174,56 @@ def check(
         print("off: " + " ".join(reason.split()), file=sys.stderr)
     if found.reasons:
         raise typer.Exit(1)
+
+
+@app.command()
+def run(
+    file: Annotated[Path, typer.Argument(metavar="CASE", help="Case file (TOML).")],
+    out: Annotated[Path, typer.Option(help="Folder for all that the run leaves.")],
+    changes: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Change a key, as fluid.viscosity='2 cP'."),
+    ] = None,
+    until: Annotated[float | None, typer.Option(help="Time to reach [s], not run.until.")] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False,
+    log: Annotated[Path | None, typer.Option(help="Log file, not run.log in the folder.")] = None,
+) -> None:
+    """Run a case. Ctrl-C finishes the step and saves; `grainmesh resume` goes on from there."""
+    from grainmesh import case, report
+    from grainmesh.record import record
+
+    changes = [*(changes or ()), *([] if until is None else [f"run.until={until!r}"])]
+    found = case.read(file, changes)
+    if found.run is None:
+        report.prove_writable(out, FILES)
+        with _progress() as tell, _warned():
+            results = found.solve(tell)
+            _write(out, *found.arrangement()[:2], results)
+        _show(file, results, ())
+        return
+    about = found.run
+    with _warned(), _stopped():
+        with _progress() as tell:
+            tell("" if quiet else "arranging the particles")
+            begun = found.simulation()
+        times = about.until, about.every, about.frames
+        record(begun, out, *times, text=found.text, source=found.path, shown=not quiet, log=log)
+    print(out)
+
+
+@app.command()
+def resume(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a run.")],
+    until: Annotated[float | None, typer.Option(help="Another time to reach [s].")] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False,
+    log: Annotated[Path | None, typer.Option(help="Log file, not run.log in the folder.")] = None,
+) -> None:
+    """Go on with a run that was stopped or killed, as if it had not been."""
+    from grainmesh import record
+
+    with _warned(), _stopped():
+        record.resume(folder, until, shown=not quiet, log=log)
+    print(folder)
 
 
 @app.command()
@@ -450,6 +504,31 @@ def _progress() -> Iterator[Callable[[str], None]]:
     """A spinner on stderr with the words last told; nothing unless it is a terminal."""
     with Console(stderr=True).status("") as status:
         yield lambda text: status.update(text)
+
+
+@contextmanager
+def _warned() -> Iterator[None]:
+    """Warnings on stderr as they come, one line each."""
+
+    def show(message: Warning | str, *_: object) -> None:
+        print("warning: " + " ".join(str(message).split()), file=sys.stderr)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        warnings.showwarning = show  # type: ignore[assignment]
+        yield
+
+
+@contextmanager
+def _stopped() -> Iterator[None]:
+    """A run that was asked to stop: say so, and exit as signals do."""
+    from grainmesh.record import Stopped
+
+    try:
+        yield
+    except Stopped as stop:
+        print(stop, file=sys.stderr)
+        raise typer.Exit(128 + stop.signal) from None
 
 
 def _headless() -> None:
