@@ -7,7 +7,7 @@
 (2, 2)
 
 Discs in a box
-    `Box`, `Particles`; `arrange` makes them or reads a list,
+    `Box`, `Particles`; `arrange` makes them or reads a list, `fibres` finds them in an image,
     `triangulate` joins them, `relax` pushes overlaps apart.
 Permeability
     `permeability` by three methods, with the laws in `closures`.
@@ -50,6 +50,7 @@ __all__ = [
     "arrange",
     "closures",
     "drag",
+    "fibres",
     "permeability",
     "plot",
     "relax",
@@ -58,7 +59,7 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
-    from grainmesh import arrange, closures, drag, plot
+    from grainmesh import arrange, closures, drag, fibres, plot
     from grainmesh.contact import Contact
     from grainmesh.domain import Box
     from grainmesh.errors import InputError, RunError
