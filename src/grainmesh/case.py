@@ -399,9 +399,9 @@ def _line(fault: ValidationError, data: dict[str, Any]) -> str:
         return f"{dot}{about['key']}: missing; {about['about']}"
     if kind == "union_tag_not_found":
         tag = about["discriminator"].strip("'")
-        near = get_close_matches(tag, given if isinstance(given, dict) else (), 1)
-        if near:
-            return f"{dot}{near[0]}: unknown key, did you mean {tag}?"
+        typed = get_close_matches(tag, given if isinstance(given, dict) else (), 1)
+        if typed:
+            return f"{dot}{typed[0]}: unknown key, did you mean {tag}?"
         return f"{dot}{tag}: missing; it says which kind this is"
     if kind == "union_tag_invalid":
         names = [name.strip("' ") for name in about["expected_tags"].split(",")]

@@ -204,13 +204,13 @@ def _regime(
     flow, model = simulation.flow, simulation.model
     assert flow is not None
     box, d, g = model.box, moving.mean_diameter, hypot(*model.gravity)
-    law = fluid.build(box).drag  # fresh: it warns only once
+    law, quiet = fluid.build(box).drag, fluid.build(box).drag  # a law warns only once
     porosity = np.asarray(flow.kernel.porosity[: len(free)])[free]
     eps = float(np.median(porosity))
     excess = float(moving.density.mean()) - fluid.density
     V = pi / 4.0 * d**2
     try:
-        balance = _balance(case, law, box, simulation.particles, d, V * excess * g)
+        balance = _balance(case, quiet, box, simulation.particles, d, V * excess * g)
         settled = case.start.settle is not None
         # Fluid seeks the open cells of a packed bed: they all carry their share side by side.
         rate = float(np.mean([balance(e) for e in porosity])) if settled else balance(eps)
