@@ -446,6 +446,71 @@ def fibres(
 
 
 @app.command()
+def report(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a run.")],
+) -> None:
+    """Write report.html of a run anew: one page with pictures, histories, times, what to cite."""
+    _headless()
+    from grainmesh import page
+
+    with _progress() as tell:
+        tell("drawing")
+        written = page.write(folder)
+    print(written)
+
+
+@app.command()
+def show(
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="Folder of a run, or of a permeability.")
+    ],
+    port: Annotated[
+        int, typer.Option(help="Port on this machine; default: a free one.", min=0, max=65535)
+    ] = 0,
+) -> None:
+    """Look at a run in the browser: prints an address to open, and serves it until Ctrl-C."""
+    picture = folder / FILES[-1]
+    if picture.is_file():
+        print(picture.resolve().as_uri())
+        return
+    from grainmesh import viewer
+
+    viewer.serve(folder, port, ready=lambda address: print(address, flush=True))
+
+
+@app.command()
+def cite(
+    what: Annotated[
+        Path | None, typer.Argument(metavar="[CASE or DIR]", help="Default: grainmesh itself.")
+    ] = None,
+) -> None:
+    """Print the BibTeX of grainmesh, and of the methods and laws of a case or a run."""
+    from grainmesh import cite as sources
+
+    print(sources.bibtex([] if what is None else _used(what)), end="")
+
+
+def _used(what: Path) -> list[str]:
+    """Methods and laws of a case, a run or the results of a permeability."""
+    from grainmesh import case, cite, page, simulation
+
+    found = what / FILES[0]
+    if found.is_file():
+        try:
+            results = json.loads(found.read_text(encoding="utf-8"))["results"]
+            return [result["method"] for result in results]
+        except (ValueError, KeyError, TypeError):
+            raise InputError(f"{found}: damaged, or no results of grainmesh") from None
+    if what.is_dir() and not (what / "case.toml").is_file():
+        return page.used(simulation.resume(what).model)
+    given = case.read(what / "case.toml" if what.is_dir() else what)
+    if given.permeability is not None:
+        return [*given.permeability.method, given.permeability.law]
+    names = ["contacts", *(["flow", given.fluid.drag] if given.fluid else [])]
+    return [name for name in names if name in cite.SOURCES]
+
+
+@app.command()
 def paper(
     figure: Annotated[str, typer.Argument(metavar="FIGURE", help="fig1, fig2 or fig3.")],
     out: Annotated[Path, typer.Option(help="Folder to write the picture and its numbers to.")],

@@ -7,6 +7,7 @@ or dark setting and prints well.
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -20,10 +21,11 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from xarray import Dataset
 
-from grainmesh import __version__, cite, history, markup, plot, vtkhdf
-from grainmesh.case import read as read_case
+from grainmesh import __version__, checkpoint, cite, history, markup, plot, vtkhdf
+from grainmesh.case import parse
 from grainmesh.errors import InputError
 from grainmesh.fields import Sample
+from grainmesh.model import Model
 from grainmesh.particles import Particles
 from grainmesh.simulation import Simulation, resume
 
@@ -51,8 +53,8 @@ TITLES = {
 CUTS = 2
 #: What the page is allowed to load: nothing but what it holds.
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
-#: Names of parts of the time in words; the others are parts of a step of the flow.
-PARTS = {"steps": "contacts", "upkeep": "search for contacts"}
+#: Names of parts of the time in words.
+PARTS = {"steps": "contacts", "upkeep": "search for contacts", "writing": "files"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +126,8 @@ def of_simulation(simulation: Simulation, title: str = "A simulation") -> Run:
     """What can be told of a simulation that has left no files."""
     flow = simulation.flow
     frame = vtkhdf.discs(simulation), vtkhdf.flow(simulation, CUTS) if flow else None
-    seconds = simulation.seconds | (flow.seconds if flow else {})
+    seconds = dict(simulation.seconds)
+    seconds |= {f"flow {name}": value for name, value in flow.seconds.items()} if flow else {}
     about = {"grainmesh": __version__, "python": python_version(), "machine": machine()}
     return Run(title, "", simulation, [frame], history.table(simulation), seconds, about)
 
@@ -137,9 +140,16 @@ def of_folder(folder: Path) -> Run:
     InputError
         If a file is missing or damaged.
     """
-    text = folder / "case.toml"
-    case = read_case(text) if text.is_file() else None
-    simulation = case.resume(folder) if case else resume(folder)
+    about = _environment(folder / "environment.json")
+    written, case = folder / "case.toml", None
+    if written.is_file():
+        case = parse(written.read_text(encoding="utf-8"), about.pop("case", None) or written)
+    try:
+        simulation = resume(folder)
+    except checkpoint.Asked:
+        if case is None:
+            raise
+        simulation = case.resume(folder)
     count = len(vtkhdf.times(folder / vtkhdf.DISCS))
     box, wet = simulation.model.box, (folder / vtkhdf.FLOW).is_file()
     many = min(count, 4 if box.height > 1.5 * box.width else 3 if box.height > box.width else 2)
@@ -150,19 +160,24 @@ def of_folder(folder: Path) -> Run:
         )
         for k in np.linspace(0, count - 1, many).round().astype(int)
     ]
-    about = _json(folder / "environment.json")
     seconds = about.pop("seconds", {})
-    title = (case and case.title) or folder.resolve().name
-    written = case.text if case else ""
-    return Run(title, written, simulation, frames, history.read(folder), seconds, about)
+    seconds["the rest"] = max(seconds.pop("all", 0.0) - sum(seconds.values()), 0.0)
+    title, text = (case.title, case.text) if case else ("", "")
+    name = title or folder.resolve().name
+    return Run(name, text, simulation, frames, history.read(folder), seconds, about)
 
 
-def _json(path: Path) -> dict[str, Any]:
+def _environment(path: Path) -> dict[str, Any]:
+    """What a run was made with; nothing if its file is missing."""
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return {}
     except (OSError, ValueError) as fault:
         raise InputError(f"{path}: cannot be read ({fault})") from None
-    return found if isinstance(found, dict) else {}
+    if "command" in found:
+        found["command"] = shlex.join(found["command"])
+    return dict(found)
 
 
 def html(run: Run) -> str:
@@ -175,7 +190,7 @@ def html(run: Run) -> str:
         _section("Case", f"<pre>{escape(run.case)}</pre>" if run.case else ""),
         _section("Time spent", _times(run.seconds)),
         _section("Made with", _rows(run.environment.items())),
-        _section("To be cited", f"<pre>{escape(cite.bibtex(used(run.simulation)))}</pre>"),
+        _section("To be cited", f"<pre>{escape(cite.bibtex(used(run.simulation.model)))}</pre>"),
     )
     style = files("grainmesh").joinpath("data/report.css").read_text(encoding="utf-8")
     return (
@@ -189,9 +204,9 @@ def html(run: Run) -> str:
     )
 
 
-def used(simulation: Simulation) -> list[str]:
-    """Methods and laws of a simulation that `cite.bibtex` knows."""
-    fluid = simulation.model.fluid
+def used(model: Model) -> list[str]:
+    """Methods and laws of particles in motion that `cite.bibtex` knows."""
+    fluid = model.fluid
     names = ["contacts"] + ([] if fluid is None else ["flow", fluid.drag.name])
     return [name for name in names if name in cite.SOURCES]
 

@@ -69,8 +69,8 @@ class Frames:
     folder: Path
 
     def __post_init__(self) -> None:
-        if len(self.times) == 0:
-            raise InputError(f"{self.folder}: the run has no frames yet, let it go on for a while")
+        if not (self.folder / vtkhdf.DISCS).is_file():
+            raise InputError(f"{self.folder}: holds no frames, name the folder of a run")
 
     @cached_property
     def times(self) -> Float:
