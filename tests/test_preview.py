@@ -14,11 +14,6 @@ from test_case import SMALL, STARTERS
 
 #: A sphere's law in a sheet 1 m deep: b = 3 pi mu d, whatever the porosity.
 SLOW = ("fluid.viscosity=100", "fluid.drag=stokes", "fluid.depth='1 m'", "fluid.spacing=1e-3")
-    "fluid.viscosity='100 Pa s'",
-    "fluid.drag=stokes",
-    "fluid.depth='1 m'",
-    "fluid.spacing=1e-3",
-)
 
 
 def told(text, *changes):
