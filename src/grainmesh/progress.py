@@ -1,4 +1,4 @@
-"""A bar on stderr: time, step, iterations, residuals, and the time still needed."""
+"""A bar on stderr: time, the time still needed, step, iterations and residuals."""
 
 from __future__ import annotations
 
@@ -8,7 +8,13 @@ from time import perf_counter
 from typing import Any, Protocol
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TaskProgressColumn,
+    TextColumn,
+    TimeRemainingColumn,
+)
 
 #: Names in rows of the history that end so are residuals.
 RESIDUAL = " residual"
@@ -26,12 +32,12 @@ class Running(Protocol):
 def told(simulation: Running) -> str:
     """Step of the flow or of contacts, iterations, and the last residuals, in one line."""
     flow = simulation.flow
-    parts = [f"dt = {(simulation.dt if flow is None else flow.dt):.2g} s"]
+    parts = [f"dt {(simulation.dt if flow is None else flow.dt):.2g} s"]
     if flow is not None:
         parts.append(f"{flow.iterations} iterations")
     row: Mapping[str, float] = simulation.history[-1] if simulation.history else {}
     residuals = [key for key in row if key.endswith(RESIDUAL)]
-    return ", ".join(parts + [f"{key} {row[key]:.0e}" for key in residuals])
+    return ", ".join(parts + [f"{key.removesuffix(RESIDUAL)} {row[key]:.0e}" for key in residuals])
 
 
 @contextmanager
@@ -50,10 +56,10 @@ def bar(simulation: Running, last: int, shown: bool = True) -> Iterator[Callable
         return
     columns = (
         TextColumn("t = {task.fields[time]:.4g} s"),
-        BarColumn(20),
-        TextColumn("step {task.completed:,.0f} of {task.total:,.0f}, left"),
-        TimeRemainingColumn(),
-        TextColumn("[dim]{task.fields[told]}"),
+        BarColumn(10),
+        TaskProgressColumn(),
+        TimeRemainingColumn(compact=True),
+        TextColumn("[dim]{task.fields[told]}"),  # all of it fits 80 columns
     )
     with Progress(*columns, console=Console(stderr=True)) as progress:
         first, dt = simulation.step, simulation.dt

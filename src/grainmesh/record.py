@@ -284,6 +284,7 @@ class _Output:
         run, versions = self.run, checkpoint.versions()
         for name in (vtkhdf.FLOW, vtkhdf.DISCS):
             vtkhdf.cut(self.folder / name, run.t if run.step else -1.0)
+        self._table()
         self.log(
             f"{'resumed' if run.step else 'started'} at t = {run.t:.6g} s, {len(run)} particles, "
             f"step {run.step} of {last}; " + ", ".join(f"{k} {v}" for k, v in versions.items())
@@ -375,7 +376,7 @@ def _environment(plan: Plan, source: str | Path) -> dict[str, Any]:
         "processors": os.cpu_count(),
         "started": datetime.now().isoformat(timespec="seconds"),
         "command": sys.argv,
-        "case": str(source),
+        "case": str(Path(source).absolute()) if source else "",
         "plan": asdict(plan),
     }
 
