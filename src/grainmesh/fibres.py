@@ -26,7 +26,7 @@ Float = NDArray[np.float64]
 #: A single diameter stands for this range of diameters around it.
 AROUND = (0.7, 1.4)
 #: Least diameter that can be told from noise [pixel].
-SMALLEST = 3.0
+SMALLEST = 4.0
 #: Weights of red, green and blue in grey.
 GREY = (0.2125, 0.7154, 0.0721)
 

@@ -14,7 +14,7 @@ the discs do not explain is searched once more.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil, pi, sqrt
 from typing import Any
 
@@ -35,12 +35,14 @@ STEPS, EASE, SEARCHES, CHUNK = 12, 0.8, 3, 100_000
 #: Steps at which the blur is found, and motion [pixel] at which a disc has come to rest.
 BLURS, CLOSE = (3, 4, 5), 0.02
 #: A score must be beyond chance by so many standard deviations, were the pixels all noise.
-SURE = 6.0
+SURE = 8.0
 #: Discs are dropped whose contrast is below this share of the median, of which less is seen, which
 #: overlap a better one by more smaller radii, or whose radius leaves the range by these factors.
 FAINT, SEEN, OVERLAP, SLACK = 0.5, 0.25, 0.3, (0.95, 1.05)
 #: Half the side of the part of an image that tells bright from dark discs, in largest radii.
 TRIAL = 25
+#: Discs from which the ground of the whole image can be told.
+FEW = 12
 
 
 @dataclass(frozen=True)
@@ -105,9 +107,26 @@ def search(
                 score = _scores(image, state)
                 kept = _plausible(image, state, score, low, high, least)
                 state, score = state.select(kept), score[kept]
+                image, state = _levelled(image, state)
         if len(state.r) <= known:
             break
     return state, score
+
+
+def _levelled(image: Float, state: Discs) -> tuple[Float, Discs]:
+    """Image and discs less a quadratic surface through the grounds: its slope would draw discs."""
+    if len(state.r) < FEW:
+        return image, state
+    half = 0.5 * np.array(image.shape)
+
+    def powers(y: Float, x: Float) -> Float:
+        y, x = np.broadcast_arrays(y / half[0] - 1.0, x / half[1] - 1.0)
+        return np.stack([y**0, y, x, y * y, y * x, x * x], axis=-1)
+
+    weights = np.linalg.lstsq(powers(*state.c.T), state.b, rcond=None)[0]
+    rows, columns = (np.arange(n, dtype=float) for n in image.shape)
+    ground = powers(rows[:, None], columns) @ weights
+    return image - ground, replace(state, b=state.b - powers(*state.c.T) @ weights)
 
 
 def _plausible(
