@@ -198,6 +198,11 @@ def resume(
 
 
 def _resumed(folder: Path) -> Simulation:
+    if not any((folder / name).exists() for name in (checkpoint.NAME, checkpoint.OLD)):
+        raise InputError(
+            f"{folder}: holds no run that could go on; name the folder of one, or begin one "
+            "(grainmesh run CASE --out DIR)"
+        )
     try:
         return simulation.resume(folder)
     except checkpoint.Asked:
