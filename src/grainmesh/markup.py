@@ -13,12 +13,13 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
-from PIL import Image
 
 from grainmesh.domain import Box
 
-#: Pictures: longest side [CSS pixels], and how many pixels of theirs make one.
-LONGEST, SHARP = 420, 2
+#: Pixels of a picture for one of the page.
+SHARP = 2
+#: Behind discs, in the light and in the dark.
+GROUND = "#eceff1"
 #: Colours of a plot that stand for those of the page, and what they become there.
 INK = "#010203"
 LINES = {f"#0a0b{i:02x}": f"var(--c{i})" for i in range(6)}
@@ -26,6 +27,7 @@ LINES = {f"#0a0b{i:02x}": f"var(--c{i})" for i in range(6)}
 #: For `matplotlib.rc_context`: plots as the page wants them, text as text.
 STYLE: dict[str, Any] = {
     "svg.fonttype": "none",
+    "svg.hashsalt": "grainmesh",
     "text.parse_math": False,
     **dict.fromkeys(
         ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), INK
@@ -37,22 +39,20 @@ STYLE: dict[str, Any] = {
 }
 
 
-def canvas(box: Box) -> tuple[Figure, Axes]:
-    """A figure that is all box, without axes."""
-    size = np.asarray(box.size) / np.max(box.size) * LONGEST / 100.0
-    figure = Figure(figsize=tuple(size), dpi=100 * SHARP)
+def canvas(box: Box, width: float) -> tuple[Figure, Axes]:
+    """A figure that is all box, without axes; `width` in pixels of the page."""
+    size = np.asarray(box.size) * width / box.width / 100.0
+    figure = Figure(figsize=tuple(size), dpi=100 * SHARP, facecolor=GROUND)
     ax = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     ax.set_axis_off()
     return figure, ax
 
 
-def png(figure: Figure, box: Box, when: str) -> str:
+def png(figure: Figure, when: str) -> str:
     """An image with its caption, all in the text of the page."""
-    full, data = BytesIO(), BytesIO()
-    figure.savefig(full, format="png")
-    image = Image.open(full).convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE)
-    image.save(data, format="png", optimize=True)
-    width, height = (np.asarray(box.size) / np.max(box.size) * LONGEST).round().astype(int)
+    data = BytesIO()
+    figure.savefig(data, format="png")
+    width, height = (figure.get_size_inches() * 100.0).round().astype(int)
     source = f"data:image/png;base64,{b64encode(data.getvalue()).decode()}"
     return (
         f'<div><img src="{source}" width="{width}" height="{height}" alt="the box at {when}">'

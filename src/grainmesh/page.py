@@ -23,6 +23,7 @@ from xarray import Dataset
 
 from grainmesh import __version__, checkpoint, cite, history, markup, plot, vtkhdf
 from grainmesh.case import parse
+from grainmesh.domain import Box
 from grainmesh.errors import InputError
 from grainmesh.fields import Sample
 from grainmesh.model import Model
@@ -49,12 +50,24 @@ TITLES = {
     "discs": "Speed of the discs",
     "chains": "Forces between discs",
 }
+#: Pictures in pixels of the page: two columns of them, the gap between frames, and most height.
+COLUMN, GAP, TALLEST = 470, 8, 420
 #: Pieces that each edge of the mesh is cut into, where a flow is drawn as it is now.
 CUTS = 2
 #: What the page is allowed to load: nothing but what it holds.
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 #: Names of parts of the time in words.
-PARTS = {"steps": "contacts", "upkeep": "search for contacts", "writing": "files"}
+PARTS = {
+    "steps": "contacts",
+    "upkeep": "search for contacts",
+    "mesh": "mesh of the flow",
+    "kernel": "porosity and averages",
+    "matrix": "matrix of the flow",
+    "solve": "linear solver",
+    "rest": "other work for the flow",
+    "writing": "files",
+    "": "all else",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,8 +139,7 @@ def of_simulation(simulation: Simulation, title: str = "A simulation") -> Run:
     """What can be told of a simulation that has left no files."""
     flow = simulation.flow
     frame = vtkhdf.discs(simulation), vtkhdf.flow(simulation, CUTS) if flow else None
-    seconds = dict(simulation.seconds)
-    seconds |= {f"flow {name}": value for name, value in flow.seconds.items()} if flow else {}
+    seconds = simulation.seconds | (flow.seconds if flow else {})
     about = {"grainmesh": __version__, "python": python_version(), "machine": machine()}
     return Run(title, "", simulation, [frame], history.table(simulation), seconds, about)
 
@@ -152,7 +164,8 @@ def of_folder(folder: Path) -> Run:
         simulation = case.resume(folder)
     count = len(vtkhdf.times(folder / vtkhdf.DISCS))
     box, wet = simulation.model.box, (folder / vtkhdf.FLOW).is_file()
-    many = min(count, 4 if box.height > 1.5 * box.width else 3 if box.height > box.width else 2)
+    tall = box.height / box.width
+    many = min(count, 2 if _is_wide(box) or tall < 1.2 else 3 if tall < 2.5 else 4)
     frames = [
         (
             vtkhdf.read(folder / vtkhdf.DISCS, k),
@@ -161,7 +174,7 @@ def of_folder(folder: Path) -> Run:
         for k in np.linspace(0, count - 1, many).round().astype(int)
     ]
     seconds = about.pop("seconds", {})
-    seconds["the rest"] = max(seconds.pop("all", 0.0) - sum(seconds.values()), 0.0)
+    seconds[""] = max(about.pop("elapsed", 0.0) - sum(seconds.values()), 0.0)
     title, text = (case.title, case.text) if case else ("", "")
     name = title or folder.resolve().name
     return Run(name, text, simulation, frames, history.read(folder), seconds, about)
@@ -262,6 +275,8 @@ def _head(run: Run) -> str:
 def _pictures(run: Run) -> str:
     """Each field in every frame, on one scale; the forces between discs at the end."""
     box, found = run.simulation.model.box, []
+    beside = 1 if _is_wide(box) else len(run.frames)
+    width = min((COLUMN - GAP * (beside - 1)) / beside, TALLEST * box.width / box.height)
     grains = [Particles(discs.points, 2.0 * discs.fields["radius"]) for discs, _ in run.frames]
     when = [f"{discs.t:.3g} s" for discs, _ in run.frames]
     flows = [
@@ -275,37 +290,43 @@ def _pictures(run: Run) -> str:
         limits = (0.0 if show == "speed" else float(low), float(high))
         images = []
         for flow, particles, time in zip(flows, grains, when, strict=True):
-            figure, ax = markup.canvas(box)
+            figure, ax = markup.canvas(box, width)
             plot.field(box, flow, ax, show=show)
             ax.collections[0].set_clim(*limits)
             plot.discs(box, particles, ax)
-            images.append(markup.png(figure, box, time))
-        found.append(_field(TITLES[show], images, markup.scale(*limits, unit, plot.SPEED)))
+            images.append(markup.png(figure, time))
+        found.append(_field(box, TITLES[show], images, markup.scale(*limits, unit, plot.SPEED)))
     speeds = [np.hypot(*discs.fields["velocity"].T) for discs, _ in run.frames]
     top = max(float(np.quantile(np.concatenate(speeds), 0.98)), 1e-12)
     images = []
     for particles, speed, time in zip(grains, speeds, when, strict=True):
-        figure, ax = markup.canvas(box)
+        figure, ax = markup.canvas(box, width)
         plot.discs(box, particles, ax, colour=speed)
         ax.collections[0].set_clim(0.0, top)
-        images.append(markup.png(figure, box, time))
-    found.append(_field(TITLES["discs"], images, markup.scale(0.0, top, "m/s", plot.SPEED)))
+        images.append(markup.png(figure, time))
+    found.append(_field(box, TITLES["discs"], images, markup.scale(0.0, top, "m/s", plot.SPEED)))
     force = run.simulation.contacts.force
     if len(force):
-        figure, ax = markup.canvas(box)
+        figure, ax = markup.canvas(box, width)
         plot.chains(run.simulation, plot.discs(box, run.simulation.particles, ax))
         mean, most = (markup.number(float(v)) for v in (force.mean(), force.max()))
         caption = f"mean {mean} N/m, strongest {most} N/m"
-        images = [markup.png(figure, box, f"{run.simulation.t:.3g} s")]
-        found.append(_field(TITLES["chains"], images, f"<span>{caption}</span>"))
+        images = [markup.png(figure, f"{run.simulation.t:.3g} s")]
+        found.append(_field(box, TITLES["chains"], images, f"<span>{caption}</span>"))
     return f'<div class="fields">{"".join(found)}</div>'
 
 
-def _field(title: str, images: Sequence[str], scale: str) -> str:
+def _field(box: Box, title: str, images: Sequence[str], scale: str) -> str:
+    kind = "frames stacked" if _is_wide(box) else "frames"
     return (
-        f'<figure><figcaption>{title}</figcaption><div class="frames">{"".join(images)}</div>'
+        f'<figure><figcaption>{title}</figcaption><div class="{kind}">{"".join(images)}</div>'
         f'<div class="scale">{scale}</div></figure>'
     )
+
+
+def _is_wide(box: Box) -> bool:
+    """Whether pictures of the box are better one above the other."""
+    return box.width > 1.5 * box.height
 
 
 def _plots(table: Dataset) -> str:
@@ -336,7 +357,7 @@ def _ledger(table: Dataset) -> str:
         rows.append(
             f"<tr><td>{escape(values.attrs.get('long_name', str(name)))}</td>"
             + "".join(f'<td class="n">{cell}</td>' for cell in cells)
-            + f"<td>{escape(plot.readable(values.attrs.get('units', '1')))}</td></tr>"
+            + f'<td class="u">{escape(plot.readable(values.attrs.get("units", "1")))}</td></tr>'
         )
     if not rows:
         return ""

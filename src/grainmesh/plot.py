@@ -123,6 +123,8 @@ def mesh(triangulation: Triangulation, ax: Axes | None = None) -> Axes:
 def chains(simulation: Simulation, ax: Axes | None = None) -> Axes:
     """Normal forces as lines through the contacts, as thick as the force is strong.
 
+    The strongest are half as thick as a mean disc.
+
     Parameters
     ----------
     simulation : Simulation
@@ -138,7 +140,9 @@ def chains(simulation: Simulation, ax: Axes | None = None) -> Axes:
     ends = np.vstack([x[i] + r[i, None] * out, x[j] - r[j, None] * out])
     lines = np.stack([np.vstack([x[i], x[j]]), ends], axis=1)
     strong = np.quantile(contacts.force, 0.99)
-    width = 120.0 / np.sqrt(len(particles)) * np.clip(contacts.force / strong, 0.02, 1.5)
+    extent = ax.get_window_extent()
+    points = 72.0 / ax.figure.dpi * min(extent.width / box.width, extent.height / box.height)
+    width = 0.5 * particles.mean_diameter * points * np.clip(contacts.force / strong, 0.02, 1.2)
     ax.add_collection(
         LineCollection(list(lines), colors=MESH, linewidths=np.tile(width, 2), capstyle="round")
     )
