@@ -4,6 +4,7 @@ Nothing that stands in them is executed, and nothing takes long.
 """
 
 import time
+from copy import deepcopy
 from math import inf, nan
 from pathlib import Path
 
@@ -99,9 +100,9 @@ def mutated_cases(draw):
         if kind == 0 and here:
             del here[draw(st.sampled_from(list(here)))]
         elif kind == 1 or not here:
-            here[draw(WORDS)] = draw(NASTY)
+            here[draw(WORDS)] = deepcopy(draw(NASTY))
         else:
-            here[draw(st.sampled_from(list(here)))] = draw(NASTY)
+            here[draw(st.sampled_from(list(here)))] = deepcopy(draw(NASTY))
     return tomlkit.dumps(data)
 
 

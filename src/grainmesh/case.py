@@ -133,10 +133,12 @@ class Case(Section):
             given = Box(*self.box.size, periodic) if self.box.size else None
             with _prefixed("particles"):
                 box, particles = self.particles.build(given, periodic, folder)
+                _refuse_far(box, particles)
             if self.fixed is None:
                 return box, particles, 0
             with _prefixed("fixed"):
                 held = self.fixed.build(box, periodic, folder)[1]
+                _refuse_far(box, held)
             both = [
                 np.concatenate([getattr(particles, name), getattr(held, name)])
                 for name in ("x", "diameter", "density")
@@ -431,6 +433,17 @@ def _where(loc: tuple[int | str, ...], data: Any) -> str:
         if inside:
             data = data[part]
     return path
+
+
+def _refuse_far(box: Box, particles: Particles) -> None:
+    """Refuse what is so large or so far off that a unit must be wrong."""
+    far = np.abs(particles.x / box.size - 0.5).max(axis=1) > 2.0
+    large = particles.diameter > box.size.max()
+    for i in np.flatnonzero(far | large):
+        what = f"{particles.diameter[i]:.3g} m thick" if large[i] else "far outside the box"
+        raise InputError(
+            f"particle {i} is {what}, the box {box.width:.3g} m x {box.height:.3g} m: check the unit"
+        )
 
 
 @contextmanager

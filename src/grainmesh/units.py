@@ -46,6 +46,8 @@ PREFIXES = {
 
 QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?)\s*(.{0,60}?)\s*", re.A)
 FACTOR = re.compile(r"(1|%|[A-Za-zµμ]+)(?:(?:\^|\*\*)?([+-]?\d))?")
+#: No quantity of a case is as large in SI units, nor as small as one over it.
+EXTREME = 1e30
 #: What a user may write for a unit of ours.
 EXAMPLES = {
     "m": '"2 mm"',
@@ -102,6 +104,8 @@ def si(value: object, unit: str) -> float:
         raise InputError(f"{shown(value)} is no quantity: expected {wanted}")
     if not isfinite(found):
         raise InputError(f"{shown(value)} is not finite: expected {wanted}")
+    if found != 0.0 and not 1.0 / EXTREME < abs(found) < EXTREME:
+        raise InputError(f"{shown(value)} is out of all range: expected {wanted}")
     return found
 
 
