@@ -17,6 +17,7 @@ from grainmesh.domain import Box
 from grainmesh.errors import InputError
 from grainmesh.matched import SEARCHES, Discs, drawn, is_bright, search
 from grainmesh.particles import Particles
+from grainmesh.plain import plain, spread
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -62,28 +63,25 @@ class Fibres:
         return len(self.x)
 
     def __repr__(self) -> str:
-        d = 2.0 * self.radius
         return (
             f"Fibres: {len(self)} {'bright' if self.bright else 'dark'} ones in "
-            f"{self.size[0]} x {self.size[1]} pixels, d = {d.mean():.4g} ({d.min():.3g} to "
-            f"{d.max():.3g}) pixels, solid fraction {self.solid_fraction:.3f}, "
+            f"{self.size[0]} x {self.size[1]} pixels, d = "
+            f"{spread(2.0 * self.radius, 'pixels')}, solid fraction {self.solid_fraction:.3f}, "
             f"{int(self.at_edge.sum())} cut by the edge"
         )
 
     def to_dict(self) -> dict[str, Any]:
         """As plain numbers, ready for JSON: lists of x, radius and score, and what sums them up."""
-        return {
-            "n": len(self),
-            "bright": self.bright,
-            "size": list(self.size),
-            "blur": self.blur,
-            "diameter": float(2.0 * self.radius.mean()),
-            "solid_fraction": self.solid_fraction,
-            "at_edge": int(self.at_edge.sum()),
-            "x": self.x.tolist(),
-            "radius": self.radius.tolist(),
-            "score": self.score.tolist(),
-        }
+        found: dict[str, Any] = plain(
+            {
+                "n": len(self),
+                "diameter": 2.0 * self.radius.mean(),
+                "solid_fraction": self.solid_fraction,
+                "at_edge": self.at_edge.sum(),
+                **vars(self),
+            }
+        )
+        return found
 
     @property
     def at_edge(self) -> NDArray[np.bool_]:

@@ -61,6 +61,7 @@ from grainmesh.motion import (
 )  # fmt: skip
 from grainmesh.pairs import Memory, Near
 from grainmesh.particles import Particles
+from grainmesh.plain import plain
 from grainmesh.progress import bar
 from grainmesh.start import (
     FARTHEST,
@@ -211,6 +212,20 @@ class Simulation:
 
     def __len__(self) -> int:
         return len(self._s)
+
+    def __repr__(self) -> str:
+        with_fluid = "" if self.flow is None else " in a fluid"
+        top = float((self._s[:, Y] + self._s[:, R]).max())
+        return (
+            f"Simulation: t = {self.t:.6g} s, step {self.step} of {self.dt:.3g} s, {len(self)} "
+            f"particles{with_fluid}, {len(self.contacts)} contacts, height {top:.4g} m, kinetic "
+            f"energy {self.energies['kinetic']:.4g} J/m"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """`measure` as plain numbers, ready for JSON; None for what is not finite."""
+        found: dict[str, Any] = plain(self.measure())
+        return found
 
     @property
     def ids(self) -> Int:
