@@ -208,6 +208,7 @@ def run(
             begun = found.simulation()
         times = about.until, about.every, about.frames
         record(begun, out, *times, text=found.text, source=found.path, shown=not quiet, log=log)
+    _report(out)
     print(out)
 
 
@@ -223,6 +224,7 @@ def resume(
 
     with _warned(), _stopped():
         record.resume(folder, until, shown=not quiet, log=log)
+    _report(folder)
     print(folder)
 
 
@@ -450,13 +452,7 @@ def report(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a run.")],
 ) -> None:
     """Write report.html of a run anew: one page with pictures, histories, times, what to cite."""
-    _headless()
-    from grainmesh import page
-
-    with _progress() as tell:
-        tell("drawing")
-        written = page.write(folder)
-    print(written)
+    print(_report(folder))
 
 
 @app.command()
@@ -488,6 +484,15 @@ def cite(
     from grainmesh import cite as sources
 
     print(sources.bibtex([] if what is None else _used(what)), end="")
+
+
+def _report(folder: Path) -> Path:
+    _headless()
+    from grainmesh import page
+
+    with _progress() as tell:
+        tell("drawing the report")
+        return page.write(folder)
 
 
 def _used(what: Path) -> list[str]:
