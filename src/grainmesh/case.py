@@ -442,7 +442,7 @@ def _refuse_far(box: Box, particles: Particles) -> None:
     for i in np.flatnonzero(far | large):
         what = f"{particles.diameter[i]:.3g} m thick" if large[i] else "far outside the box"
         raise InputError(
-            f"particle {i} is {what}, the box {box.width:.3g} m x {box.height:.3g} m: check the unit"
+            f"particle {i} is {what}, the box {box.width:.3g} x {box.height:.3g} m: check the unit"
         )
 
 
