@@ -206,8 +206,8 @@ def run(
         with _progress() as tell:
             tell("" if quiet else "arranging the particles")
             begun = found.simulation()
-        times = about.until, about.every, about.frames
-        record(begun, out, *times, text=found.text, source=found.path, shown=not quiet, log=log)
+        plan = about.until, about.every, about.frames, about.cuts, about.probes
+        record(begun, out, *plan, text=found.text, source=found.path, shown=not quiet, log=log)
     _report(out)
     print(out)
 

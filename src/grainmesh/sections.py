@@ -625,6 +625,13 @@ class RunSection(Section):
         description="Interval of the frames of the flow and the particles [s]; every if not given.",
     )
 
+    cuts: Annotated[Whole, Field(ge=1, le=8)] = Field(
+        1, description="Pieces that edges of triangles are cut into where frames are written."
+    )
+    probes: Annotated[list[Place], Field(max_length=1000)] = Field(
+        [], description="Places [m] whose velocity and pressure the history holds."
+    )
+
     @model_validator(mode="after")
     def _intervals(self) -> RunSection:
         for name in ("every", "frames"):
