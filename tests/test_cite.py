@@ -7,6 +7,7 @@ import pytest
 
 import grainmesh as gm
 from grainmesh import cite
+from grainmesh.cli import main
 from grainmesh.closures import LAWS
 from grainmesh.drag import DRAGS, from_name
 from grainmesh.permeability import METHODS
@@ -82,3 +83,47 @@ def test_only_what_was_used_is_cited():
 def test_an_unknown_law_is_refused_with_the_nearest_one():
     with pytest.raises(gm.InputError, match="'gebart': did you mean gebart-square"):
         cite.bibtex(["gebart"])
+
+
+def keys(text):
+    return re.findall(r"@\w+\{(\w+),", text)
+
+
+def test_the_verb_cites_what_a_case_uses(tmp_path, capsys):
+    case = tmp_path / "case.toml"
+    settling = "particles = { arrange = 'places', places = [[0.5, 0.5]], diameter = 0.1 }\n"
+    settling += "box = { size = [1, 1] }\ncontact = { stiffness = 1e4 }\nrun = { until = 1 }\n"
+    fluid = "fluid = { density = 1, viscosity = 1, drag = 'kuwabara' }\n"
+    for text, wanted in (
+        (settling, {"cundall1979", "luding2008"}),
+        (
+            settling + fluid,
+            {"cundall1979", "luding2008", "srivastava2014", "schoberl2014", "saad1986"}
+            | {"kuwabara1959"},
+        ),
+        (
+            settling.split("\n")[0] + "\nbox = { size = [1, 1] }\n"
+            "permeability = { method = ['microstructure'], law = 'gebart-square' }",
+            {"gebart1992"},
+        ),
+    ):
+        case.write_text(text)
+        for what in (case, tmp_path):
+            assert main(["cite", str(what)]) == 0
+            assert set(keys(capsys.readouterr().out)) == {"grainmesh", "yazdchi2013"} | wanted
+    assert main(["cite"]) == 0
+    assert keys(capsys.readouterr().out) == ["grainmesh", "yazdchi2013"]
+
+
+def test_the_verb_cites_what_results_used_and_refuses_others_in_one_line(tmp_path, capsys):
+    results = tmp_path / "permeability.json"
+    results.write_text('{"results": [{"method": "resolved"}]}')
+    assert main(["cite", str(tmp_path)]) == 0
+    assert "schoberl1997" in keys(capsys.readouterr().out)
+    for text in ("{", "[]", '{"results": 3}', '{"results": [{"method": "magic"}]}'):
+        results.write_text(text)
+        assert main(["cite", str(tmp_path)]) == 2
+        assert capsys.readouterr().err.count("\n") == 1
+    assert main(["cite", str(tmp_path / "nowhere.toml")]) == 2
+    assert main(["cite", str(tmp_path.parent)]) == 2
+    assert capsys.readouterr().err.count("\n") == 2
