@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import grainmesh as gm
 from grainmesh import case, cli
 from grainmesh.errors import InputError
-from grainmesh.sections import Stream
+from grainmesh.stream import Stream
 from grainmesh.units import EXAMPLES, si
 
 FOLDER = Path(case.__file__).parent / "data" / "starters"
@@ -78,7 +78,7 @@ def test_quantities_to_the_last_bit(text, unit, value):
     assert si(text, unit) == value
 
 
-@given(st.floats(-1e100, 1e100), st.sampled_from(["um", "mm", "cm", "m", "km", "in"]))
+@given(st.floats(1e-20, 1e20), st.sampled_from(["um", "mm", "cm", "m", "km", "in"]))
 def test_lengths_by_prefix(x, name):
     scale = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "km": 1e3, "in": 0.0254}[name]
     assert si(f"{x!r} {name}", "m") == pytest.approx(x * scale, rel=1e-15, abs=1e-300)

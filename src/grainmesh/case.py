@@ -13,7 +13,6 @@ import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from difflib import get_close_matches
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,24 +20,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
+from grainmesh.arranged import Arrangement, Listed
 from grainmesh.domain import Box
 from grainmesh.errors import InputError, RunError
+from grainmesh.keys import Acceleration, Section, Text, first_mistake, nearest
 from grainmesh.particles import Particles
 from grainmesh.sections import (
-    Acceleration,
-    Arrangement,
     BoxSection,
     ContactSection,
-    FluidSection,
-    Listed,
     PermeabilitySection,
     RunSection,
-    Section,
     StartSection,
-    Text,
     WallsSection,
-    nearest,
 )
+from grainmesh.stream import FluidSection
 from grainmesh.units import shown
 
 if TYPE_CHECKING:
@@ -48,16 +43,6 @@ if TYPE_CHECKING:
 
 #: Most steps of a particle, all together, that settling before time 0 may take: a minute or so.
 LONGEST = 1e9
-#: Words for what pydantic says of a value.
-WORDS = {
-    "missing": "has too few values",
-    "too_long": "has too many values",
-    "tuple_type": "must be a list",
-    "list_type": "must be a list",
-    "model_type": "must be a table of keys",
-    "model_attributes_type": "must be a table of keys",
-    "string_type": "must be text",
-}
 
 
 class Case(Section):
@@ -312,7 +297,7 @@ def parse(text: str, path: str | Path = "case.toml", changes: Sequence[str] = ()
     try:
         case = Case.model_validate(data)
     except ValidationError as fault:
-        raise InputError(f"{path}: {_line(fault, data)}") from None
+        raise InputError(f"{path}: {first_mistake(fault, data)}") from None
     case._path, case._text = path, text
     return case
 
@@ -386,53 +371,6 @@ def _changed(
 def _plain(data: dict[str, Any]) -> str:
     """Data as text that can be compared: undefined numbers are equal there."""
     return json.dumps(data, sort_keys=True, default=str)
-
-
-def _line(fault: ValidationError, data: dict[str, Any]) -> str:
-    """The first mistake in one line: where, what, and what to do."""
-    errors = fault.errors(include_url=False)
-    error = next((e for e in errors if e["type"] == "key"), errors[0])
-    kind, about, given = error["type"], error.get("ctx", {}), error.get("input")
-    where = _where(error["loc"], data)
-    dot = f"{where}." if where else ""
-    if kind == "key":
-        return f"{dot}{about['key']}: unknown key, did you mean {about['near']}?"
-    if kind == "lack":
-        return f"{dot}{about['key']}: missing; {about['about']}"
-    if kind == "union_tag_not_found":
-        tag = about["discriminator"].strip("'")
-        typed = get_close_matches(tag, given if isinstance(given, dict) else (), 1)
-        if typed:
-            return f"{dot}{typed[0]}: unknown key, did you mean {tag}?"
-        return f"{dot}{tag}: missing; it says which kind this is"
-    if kind == "union_tag_invalid":
-        names = [name.strip("' ") for name in about["expected_tags"].split(",")]
-        tag = about["discriminator"].strip("'")
-        near = nearest(about["tag"], names)
-        return f"{dot}{tag}: {shown(about['tag'])} unknown, did you mean '{near}'?"
-    if kind == "literal_error":
-        names = [name.strip("' ") for name in about["expected"].replace(" or ", ",").split(",")]
-        return f"{where}: {shown(given)} unknown, did you mean '{nearest(str(given), names)}'?"
-    if kind == "value_error":
-        said = str(about["error"])
-        return f"{dot[:-1]}: {said}" if where and not said.startswith(f"{where}:") else said
-    said = WORDS.get(kind) or error["msg"].replace("Input should", "must")
-    plain = not isinstance(given, (dict, list, tuple))
-    return f"{where}: {shown(given)} {said}" if plain else f"{where}: {said}"
-
-
-def _where(loc: tuple[int | str, ...], data: Any) -> str:
-    """The path of a key, without the names of variants that pydantic puts in between."""
-    path = ""
-    for part in loc:
-        inside = isinstance(data, dict) and part in data
-        if isinstance(data, list) and isinstance(part, int) and part < len(data):
-            path, inside = f"{path}[{part}]", True
-        elif inside:
-            path = f"{path}.{part}" if path else str(part)
-        if inside:
-            data = data[part]
-    return path
 
 
 def _refuse_far(box: Box, particles: Particles) -> None:

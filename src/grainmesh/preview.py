@@ -27,7 +27,8 @@ from grainmesh.domain import SIDES, Box
 from grainmesh.drag import Bed, Drag, Permeability
 from grainmesh.errors import InputError
 from grainmesh.particles import Particles, settle
-from grainmesh.sections import FluidSection, Inflow, PermeabilitySection
+from grainmesh.sections import PermeabilitySection
+from grainmesh.stream import FluidSection, Inflow
 
 if TYPE_CHECKING:
     from grainmesh.simulation import Simulation
