@@ -10,13 +10,14 @@ Discs in a box
     `Box`, `Particles`; `arrange` makes them or reads a list, `fibres` finds them in an image,
     `triangulate` joins them, `relax` pushes overlaps apart.
 Permeability
-    `permeability` by three methods, with the laws in `closures`.
+    `permeability` by three methods, with the laws in `closures`; `sweep` makes a table of many.
 Particles in motion
     `Contact`, `Wall` and `Model` say what acts; `Simulation` runs, `resume` goes on.
 With a fluid
     `Fluid` with the laws in `drag`; sides of the box: `Inflow`, `Outlet`, `NoSlip`, `Slip`.
-Pictures
-    `plot`.
+Files and pictures
+    `case` reads case files, `record` keeps a run in a folder, `history` makes tables of it, `page`
+    a report, `cite` what to cite; `plot` draws.
 Mistakes
     `InputError` says in one line what is wrong and what to do, `RunError` why a run stopped.
 
@@ -48,18 +49,35 @@ __all__ = [
     "Triangulation",
     "Wall",
     "arrange",
+    "case",
+    "cite",
     "closures",
     "drag",
     "fibres",
+    "history",
+    "page",
     "permeability",
     "plot",
+    "record",
     "relax",
     "resume",
+    "sweep",
     "triangulate",
 ]
 
 if TYPE_CHECKING:
-    from grainmesh import arrange, closures, drag, fibres, plot
+    from grainmesh import (
+        arrange,
+        case,
+        cite,
+        closures,
+        drag,
+        fibres,
+        history,
+        page,
+        plot,
+        record,
+    )
     from grainmesh.contact import Contact
     from grainmesh.domain import Box
     from grainmesh.errors import InputError, RunError
@@ -70,6 +88,7 @@ if TYPE_CHECKING:
     from grainmesh.permeability import Permeability, permeability
     from grainmesh.relax import relax
     from grainmesh.simulation import Simulation, resume
+    from grainmesh.study import sweep
     from grainmesh.triangulation import Triangulation, triangulate
     from grainmesh.walls import Wall
 
@@ -94,6 +113,7 @@ _HOME = {
     "permeability": "permeability",
     "relax": "relax",
     "resume": "simulation",
+    "sweep": "study",
     "triangulate": "triangulation",
 }
 

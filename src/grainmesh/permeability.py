@@ -85,9 +85,10 @@ class Permeability:
         (xx, _), (_, yy) = self.tensor
         return (
             f"Permeability ({self.method}): K/d² = {self.normalised:.4g} ± "
-            f"{100 * self.error:.2g} %, Kxx = {xx:.3g} m², Kyy = {yy:.3g} m²; {self.n} discs, d = {self.diameter:.4g} m, "
-            f"porosity {self.porosity:.4f}, gap {self.gap:.4g}; {self.dofs} unknowns, "
-            f"{self.seconds:.2g} s" + "".join(f"; {note}" for note in self.notes)
+            f"{100 * self.error:.2g} %, Kxx = {xx:.3g} m², Kyy = {yy:.3g} m²; "
+            f"{self.n} discs, d = {self.diameter:.4g} m, porosity {self.porosity:.4f}, "
+            f"gap {self.gap:.4g}; {self.dofs} unknowns, {self.seconds:.2g} s"
+            + "".join(f"; {note}" for note in self.notes)
         )
 
     def to_dict(self) -> dict[str, Any]:
