@@ -432,3 +432,21 @@ def test_the_schema_tells_every_key(capsys):
         assert part.get("additionalProperties", False) is False
     names = schema["$defs"]["FluidSection"]["properties"]["drag"]["enum"]
     assert set(names) == set(gm.drag.DRAGS)
+
+
+def test_the_page_on_cases_names_every_key_and_its_example_runs():
+    page = (Path(__file__).parents[1] / "docs" / "cases.md").read_text()
+    told = {word for code in re.findall(r"`([\w.]+)`", page) for word in code.split(".")}
+    for part in [case.schema(), *case.schema()["$defs"].values()]:
+        assert set(part.get("properties", {})) <= told
+    example = re.search(r"```toml\n(.*?)```", page, re.S).group(1)
+    assert case.parse(example).fluid.drag == "hexagonal-lattice"
+    for unit in re.findall(r'`"([\d.]+ [^"]*)"`', page.split("**Quantities.**")[1].split("**")[0]):
+        assert any(_is(unit, kind) for kind in EXAMPLES), unit
+
+
+def _is(text, unit):
+    try:
+        return si(text, unit) > 0.0
+    except InputError:
+        return False

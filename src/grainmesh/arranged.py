@@ -190,7 +190,7 @@ class Listed(_Discs):
 
     arrange: Literal["file"]
     file: Text = Field(description="Path of the file, from the folder of the case file.")
-    unit: Size = Field(1.0, description='Metres per unit of the columns, or "um" as "1 um".')
+    unit: Size = Field(1.0, description='Unit of the columns [m], as "1 um".')
     diameter: Size | None = Field(None, description="One diameter [m] in place of the column.")
     window: Region | None = Field(
         None, description="x0, y0, x1, y1 [m]: cut this out as the box; box.size is left out then."

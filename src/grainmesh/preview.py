@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 #: Rough constants, measured on one slow core with beds of 1000 to 4000 grains: seconds of a step
 #: of one disc, and of a step of the flow per unknown; MiB of the program, and more per unknown,
 #: the factor of the matrix included.
-DISC_STEP, FLOW_STEP, PROGRAM, UNKNOWN = 4e-8, 2e-5, 310.0, 4e-3
+DISC_STEP, FLOW_STEP, PROGRAM, UNKNOWN = 4e-8, 2.5e-5, 310.0, 4e-3
 #: Of methods for particles at rest: unknowns and seconds of a disc.
 RESTING = {"resolved": (1000, 1e-2), "mesoscale": (10, 3e-4), "microstructure": (0, 2e-5)}
 #: Porosity of settled discs, and Reynolds number up to which laws without inertia will do.
@@ -45,7 +45,7 @@ SETTLED, CREEPING = 0.18, 10.0
 MEETING, RESTING_OVERLAP = 0.2, 0.03
 #: Longest way in a step of the flow in diameters, and how much of the longest step is taken: steps
 #: are powers of two of those of the contacts.
-WAY, TAKEN = 1.0 / 7.0, 0.7
+WAY, TAKEN = 1.0 / 7.0, 0.6
 
 
 @dataclass(frozen=True)
