@@ -172,6 +172,7 @@ def test_a_typo_in_every_key_of_every_starter(name, tmp_path, capsys):
         ("start.velocity=[1]", "start.velocity: has too few values"),
         ("permeability.tol=1e-3", "a case needs a section [run] or [permeability]"),
         ("fluid.viscosity", "must be section.key=value"),
+        ("title=\udcff", "must be section.key=value"),
         ("run.until.x=3", "run.until is no section"),
     ],
 )  # fmt: skip

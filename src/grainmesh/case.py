@@ -344,7 +344,8 @@ def _changed(
     for change in changes:
         key, equals, value = change.partition("=")
         keys = [part.strip() for part in key.split(".")]
-        if not equals or not all(keys):
+        proper = change.encode("utf-8", "replace").decode() == change
+        if not equals or not all(keys) or not proper:
             raise InputError(f"change {shown(change)} must be section.key=value")
         try:
             parsed = tomllib.loads(f"value = {value}")
