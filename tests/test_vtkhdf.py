@@ -69,17 +69,13 @@ def by_vtk(path, times):
     for t in times:
         reader.UpdateTimeStep(t)
         grid = reader.GetOutputDataObject(0)
-        cells = grid.GetCells() if grid.IsA("vtkUnstructuredGrid") else grid.GetVerts()
-        if grid.IsA("vtkUnstructuredGrid"):
-            assert {grid.GetCellType(i) for i in range(grid.GetNumberOfCells())} == {
-                vtkhdf.TRIANGLE
-            }
-        width = 3 if grid.IsA("vtkUnstructuredGrid") else 1
+        types = {grid.GetCellType(i) for i in range(grid.GetNumberOfCells())}
+        width = {(vtkhdf.TRIANGLE,): 3, (vtkhdf.VERTEX,): 1}[tuple(types)]
         data = grid.GetPointData()
         arrays = [data.GetArray(i) for i in range(data.GetNumberOfArrays())]
         yield (
             vtk_to_numpy(grid.GetPoints().GetData()),
-            vtk_to_numpy(cells.GetConnectivityArray()).reshape(-1, width),
+            vtk_to_numpy(grid.GetCells().GetConnectivityArray()).reshape(-1, width),
             {a.GetName(): vtk_to_numpy(a) for a in arrays},
         )
 

@@ -15,6 +15,7 @@ import re
 import warnings
 from contextlib import suppress
 from dataclasses import asdict
+from functools import cache
 from hashlib import sha256
 from importlib import metadata
 from io import BytesIO
@@ -181,6 +182,7 @@ def _sound(path: Path) -> bool:
         return False
 
 
+@cache
 def versions() -> dict[str, str]:
     """Versions of Python and of the packages that results depend on."""
     found = {"python": platform.python_version()}

@@ -21,6 +21,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
+from importlib import import_module
 from math import ceil, isfinite
 from pathlib import Path
 from time import perf_counter
@@ -289,11 +290,11 @@ class _Output:
         run, versions = self.run, checkpoint.versions()
         for name in (vtkhdf.FLOW, vtkhdf.DISCS):
             vtkhdf.cut(self.folder / name, run.t if run.step else -1.0)
-        self._table()
         self.log(
             f"{'resumed' if run.step else 'started'} at t = {run.t:.6g} s, {len(run)} particles, "
             f"step {run.step} of {last}; " + ", ".join(f"{k} {v}" for k, v in versions.items())
         )
+        import_module("xarray")  # takes a second, which is not that of writing
         if run.step == 0:
             with self._timed():
                 self._frame()

@@ -1,8 +1,8 @@
 """Frames of a run as transient VTKHDF, which ParaView and VTK open.
 
-A run has two files: ``flow.vtkhdf``, triangles whose number and corners change from frame to frame
-(UnstructuredGrid), and ``discs.vtkhdf``, points (PolyData). One file could hold both as a
-collection, but the transient collections that VTK 9.7 reads, it mixes up.
+A run has two files, both of type UnstructuredGrid: ``flow.vtkhdf``, triangles whose number and
+corners change from frame to frame, and ``discs.vtkhdf``, points. One file could hold both as a
+collection, but of transient collections VTK 9.7 shows the first frame only.
 
 A frame is written in HDF5's single-writer mode: rows first, then the number of frames, each step of
 it such that a reader finds a whole file. Between frames the file is closed. A writer that is killed
@@ -36,8 +36,13 @@ FLOW, DISCS = "flow.vtkhdf", "discs.vtkhdf"
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
 
-TRIANGLE = 5
-KINDS = ("Vertices", "Lines", "Polygons", "Strips")
+#: Cell types of VTK.
+VERTEX, TRIANGLE = 1, 5
+#: One number a frame each.
+NUMBERS = (
+    "NumberOfPoints", "NumberOfCells", "NumberOfConnectivityIds",
+    "Steps/PartOffsets", "Steps/NumberOfParts", "Steps/PointOffsets",
+)  # fmt: skip
 #: Frames whose numbers are kept together in the file.
 TOGETHER = 64
 #: What h5py raises where a file is not as it should be.
@@ -171,11 +176,10 @@ def read(path: Path, number: int) -> Frame:
         for name, item in root["PointData"].items():
             value = item[first : first + size]
             fields[name] = value[:, :2] if value.ndim == 2 else value
-        triangles = None
-        if "Types" in root:
-            start = int(steps["ConnectivityIdOffsets"][k, 0])
-            end = start + int(root["NumberOfConnectivityIds"][k])
-            triangles = root["Connectivity"][start:end].reshape(-1, 3)
+        start = int(steps["ConnectivityIdOffsets"][k, 0])
+        end = start + int(root["NumberOfConnectivityIds"][k])
+        cells = root["Connectivity"][start:end]
+        triangles = cells.reshape(-1, 3) if root["Types"][0] == TRIANGLE else None
         points = root["Points"][first : first + size, :2]
         return Frame(float(steps["Values"][k]), points, fields, triangles)
 
@@ -234,63 +238,52 @@ def _fields(frame: Frame) -> dict[str, NDArray[Any]]:
     return {name: np.pad(v, pad) if v.ndim == 2 else v for name, v in found.items()}
 
 
-def _cells(frame: Frame) -> dict[str, Int]:
-    """Connectivity of each kind of cell, by the prefix of its names."""
+def _cells(frame: Frame) -> Int:
+    """Corners of triangles (c, 3), or the points (p, 1)."""
     if frame.triangles is not None:
-        return {"": frame.triangles}
-    each = np.arange(len(frame.points))[:, None]
-    return {f"{kind}/": each if kind == "Vertices" else each[:0] for kind in KINDS}
+        return frame.triangles
+    return np.arange(len(frame.points))[:, None]
 
 
 def _empty(frame: Frame) -> bytes:
     """A file for frames like this one, with none in it."""
     memory = BytesIO()
     with h5py.File(memory, "w", libver=("v110", "v110")) as file:
+        file.attrs["room"] = 0  # of a chunk of each, for `_reserve`
         root = file.create_group("VTKHDF")
         root.attrs["Version"] = np.array([2, 3])
-        kind = "PolyData" if frame.triangles is None else "UnstructuredGrid"
-        root.attrs.create("Type", np.bytes_(kind))
+        root.attrs.create("Type", np.bytes_("UnstructuredGrid"))
 
         def rows(name: str, dtype: Any, many: int = TOGETHER, width: tuple[int, ...] = ()) -> None:
             chunks = (max(many, TOGETHER), *width)
-            root.create_dataset(name, (0, *width), dtype, maxshape=(None, *width), chunks=chunks)
+            data = root.create_dataset(
+                name, (0, *width), dtype, maxshape=(None, *width), chunks=chunks
+            )
+            file.attrs["room"] += int(np.prod(chunks)) * data.dtype.itemsize
 
-        points, cells = _fields(frame), _cells(frame)
-        for name, value in points.items():
+        for name, value in _fields(frame).items():
             rows(name, value.dtype, len(value), value.shape[1:])
             if name != "Points":
                 rows(f"Steps/PointDataOffsets/{name[10:]}", "i8")
-        for prefix, corners in cells.items():
-            rows(prefix + "Connectivity", "i8", corners.size)
-            rows(prefix + "Offsets", "i8", len(corners) + 1)
-            rows(prefix + "NumberOfCells", "i8")
-            rows(prefix + "NumberOfConnectivityIds", "i8")
-        if frame.triangles is not None:
-            rows("Types", "u1", len(frame.triangles))
-        rows("Steps/Values", "f8")
-        for name in ("NumberOfPoints", "Steps/PartOffsets", "Steps/NumberOfParts"):
+        cells = _cells(frame)
+        rows("Connectivity", "i8", cells.size)
+        rows("Offsets", "i8", len(cells) + 1)
+        rows("Types", "u1", len(cells))
+        for name in NUMBERS:
             rows(name, "i8")
-        rows("Steps/PointOffsets", "i8")
         for name in ("CellOffsets", "ConnectivityIdOffsets"):
-            rows(f"Steps/{name}", "i8", TOGETHER, (len(cells),))
+            rows(f"Steps/{name}", "i8", width=(1,))
+        rows("Steps/Values", "f8")
         root["Steps"].attrs["NSteps"] = 0
     return memory.getvalue()
 
 
 def _reserve(path: Path, frame: Frame) -> None:
     """Take the room that a frame may need, as HDF5 does not survive a full disk."""
-    chunks = []
     with _reading(path) as root:
-        root.visititems(
-            lambda name, item: (
-                chunks.append(np.prod(item.chunks) * item.dtype.itemsize)
-                if isinstance(item, h5py.Dataset)
-                else None
-            )
-        )
-        size = path.stat().st_size
-    parts = [*_fields(frame).values(), *_cells(frame).values()]
-    need = int(sum(chunks)) + 2 * sum(part.nbytes for part in parts) + 2**16
+        need = int(root.file.attrs["room"]) + 2**16
+    need += 2 * sum(part.nbytes for part in (*_fields(frame).values(), _cells(frame)))
+    size = path.stat().st_size
     try:
         with path.open("r+b") as file:
             file.seek(size)
@@ -325,31 +318,24 @@ def _append(path: Path, frame: Frame) -> None:
             put(name, value, first)
             if name != "Points":
                 put(f"Steps/PointDataOffsets/{name[10:]}", [first])
-        cells, ids = [], []
-        for prefix, corners in _cells(frame).items():
-            cell = before(prefix + "NumberOfCells")
-            item = before(prefix + "NumberOfConnectivityIds")
-            put(prefix + "Connectivity", corners.ravel(), item)
-            offsets = corners.shape[1] * np.arange(len(corners) + 1)
-            put(prefix + "Offsets", offsets, cell + number)  # one more than cells a frame
-            put(prefix + "NumberOfCells", [len(corners)])
-            put(prefix + "NumberOfConnectivityIds", [corners.size])
-            if frame.triangles is not None:
-                put("Types", np.full(len(corners), TRIANGLE), cell)
-            cells.append(cell)
-            ids.append(item)
+        corners = _cells(frame)
+        many, width = corners.shape
+        cell, item = before("NumberOfCells"), before("NumberOfConnectivityIds")
+        put("Connectivity", corners.ravel(), item)
+        put("Offsets", width * np.arange(many + 1), cell + number)  # one more than cells a frame
+        put("Types", np.full(many, TRIANGLE if width == 3 else VERTEX), cell)
+        put("NumberOfCells", [many])
+        put("NumberOfConnectivityIds", [corners.size])
         put("NumberOfPoints", [len(frame.points)])
         put("Steps/Values", [frame.t])
         put("Steps/PartOffsets", [number])
         put("Steps/NumberOfParts", [1])
         put("Steps/PointOffsets", [first])
-        put("Steps/CellOffsets", [cells])
-        put("Steps/ConnectivityIdOffsets", [ids])
+        put("Steps/CellOffsets", [[cell]])
+        put("Steps/ConnectivityIdOffsets", [[item]])
         file.flush()
         root["Steps"].attrs.modify("NSteps", number + 1)
         file.flush()
-    with path.open("rb") as written:
-        os.fsync(written.fileno())
 
 
 __all__ = ["DISCS", "FLOW", "Frame", "append", "cut", "discs", "flow", "read", "times"]
