@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import threading
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -43,7 +44,7 @@ until = "30 ms"
 every = "4 ms"
 frames = "6 ms"
 """
-FILES = sorted([*record.FILES, checkpoint.OLD])
+FILES = sorted([*record.FILES, checkpoint.OLD, "report.html"])
 
 
 def same(one, other):
@@ -66,6 +67,12 @@ def undisturbed(file):
     out = file.parent / "undisturbed"
     assert main(["run", str(file), "--out", str(out), "--quiet"]) == 0
     return out
+
+
+@pytest.fixture(autouse=True)
+def no_report(monkeypatch):
+    """Reports take long; that of `undisturbed` is enough."""
+    monkeypatch.setattr("grainmesh.cli._report", lambda folder: None)
 
 
 def test_a_run_leaves_its_files(undisturbed, file):
@@ -121,8 +128,32 @@ def test_a_signal_finishes_the_step_and_saves(undisturbed, file, tmp_path, capsy
     assert said.count("\n") == 1
     assert checkpoint.read(out, case.read(file).simulation().model.fluid)[1]["step"] > 0
     assert len(history.read(out).t) < len(history.read(undisturbed).t)
-    assert main(["resume", str(out), "--quiet"]) == 0
+    record.resume(out)
     same(out, undisturbed)
+
+
+@pytest.mark.parametrize("calls", [1, 2, 3, 7])
+def test_a_stop_at_a_mark_loses_nothing(tmp_path, monkeypatch, calls):
+    dry(tmp_path / "undisturbed")
+    counted = []
+
+    @contextmanager
+    def bar(*_):
+        yield (
+            lambda step: (
+                counted.append(step)
+                or (os.kill(os.getpid(), signal.SIGTERM) if len(counted) == calls else None)
+            )
+        )
+
+    monkeypatch.setattr(record, "bar", bar)
+    with pytest.raises(record.Stopped, match="go on with: grainmesh resume"):
+        dry(tmp_path / "stopped")
+    record.resume(tmp_path / "stopped")
+    one, other = tmp_path / "undisturbed", tmp_path / "stopped"
+    assert (one / checkpoint.NAME).read_bytes() == (other / checkpoint.NAME).read_bytes()
+    assert (one / vtkhdf.DISCS).read_bytes() == (other / vtkhdf.DISCS).read_bytes()
+    assert history.read(one).identical(history.read(other))
 
 
 def test_a_run_goes_on_for_longer(undisturbed, file, tmp_path):
@@ -130,7 +161,7 @@ def test_a_run_goes_on_for_longer(undisturbed, file, tmp_path):
     assert main(["run", str(file), "--out", str(out), "--quiet", "--until", "0.016"]) == 0
     assert "until = 0.016" in (out / "case.toml").read_text()
     assert main(["resume", str(out), "--quiet", "--until", "0.024"]) == 0
-    assert main(["resume", str(out), "--quiet"]) == 0  # nothing is left to do
+    record.resume(out)  # nothing is left to do
     table = history.read(out)
     whole = history.read(undisturbed).sel(t=slice(0.0, table.t[-1]))
     assert (table.t == whole.t).all()
@@ -198,7 +229,7 @@ def dry(folder, **plan):
 
 def test_a_dry_run_has_no_flow(tmp_path):
     dry(tmp_path)
-    names = set(FILES) - {vtkhdf.FLOW, record.CASE}
+    names = set(FILES) - {vtkhdf.FLOW, record.CASE, "report.html"}
     assert {path.name for path in tmp_path.iterdir()} == names
     assert len(vtkhdf.times(tmp_path / vtkhdf.DISCS)) == 6
     assert 0.0 < history.read(tmp_path).energy_residual.max() < 1e-3
@@ -265,7 +296,7 @@ def test_a_full_disk_is_told_and_the_run_goes_on_later(undisturbed, file, tmp_pa
     assert "make room" in done.stderr
     assert done.stderr.count("\n") == 1
     assert 1 <= len(vtkhdf.times(tmp_path / "out" / vtkhdf.DISCS)) < 6
-    assert main(["resume", str(tmp_path / "out"), "--quiet"]) == 0
+    record.resume(tmp_path / "out")
     same(tmp_path / "out", undisturbed)
 
 

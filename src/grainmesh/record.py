@@ -37,8 +37,10 @@ from grainmesh.simulation import Simulation
 
 CASE, LOG, ENVIRONMENT = "case.toml", "run.log", "environment.json"
 FILES = (CASE, LOG, ENVIRONMENT, checkpoint.NAME, history.NAME, vtkhdf.FLOW, vtkhdf.DISCS)
-#: Most of the time of a run that rewriting the history may take.
-SHARE = 0.01
+#: Most of the time of a run that checkpoints and the history file may take before its end.
+SHARE = {"checkpoint": 0.02, "history": 0.01}
+#: What they take at first, perhaps [s].
+AT_FIRST = {"checkpoint": 0.02, "history": 0.3}
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,7 @@ class Plan:
     until : float
         Time to reach [s].
     every : float
-        Interval of rows of the history, and of checkpoints [s].
+        Interval of rows of the history, and of checkpoints unless those take too long [s].
     frames : float
         Interval of frames [s]; there is one more at the end.
     cuts : int
@@ -227,14 +229,16 @@ def _go(run: Simulation, folder: Path, shown: bool, log: str | Path | None) -> S
 
                 def tell(step: int) -> None:
                     draw(step)
-                    if caught and step < last:
+                    if caught and step < due:  # at a mark, what is due is written first
                         raise Stopped("", caught[0])
 
                 while run.step < last:
-                    run.run(_next(run, plan, last) * run.dt, progress=tell)
+                    due = _next(run, plan, last)
+                    run.run(due * run.dt, progress=tell)
                     output.mark(last)
+                    if caught and run.step < last:
+                        raise Stopped("", caught[0])
         except (Stopped, RunError) as why:
-            run.save(folder)
             output.end()
             if isinstance(why, RunError):
                 output.log(f"failed: {why}")
@@ -267,7 +271,7 @@ class _Output:
     def __init__(self, run: Simulation, folder: Path, plan: Plan, log: Path) -> None:
         self.run, self.folder, self.plan = run, folder, plan
         self.began = perf_counter()
-        self.seconds, self.tables, self.told = 0.0, 0.0, self.began
+        self.spent = {"frames": 0.0, "checkpoint": 0.0, "history": 0.0}
         self.before: dict[str, float] = _environment_of(folder).get("seconds", {})
         try:
             self.file = log.open("a", encoding="utf-8", buffering=1)
@@ -296,8 +300,7 @@ class _Output:
         )
         import_module("xarray")  # takes a second, which is not that of writing
         if run.step == 0:
-            with self._timed():
-                self._frame()
+            self._frame()
 
     def mark(self, last: int) -> None:
         """What is due at the present step."""
@@ -307,25 +310,25 @@ class _Output:
             run.step in (_step(run.step - 1, run.dt, each), last)
             for each in (plan.every, plan.frames)
         )
-        with self._timed():
-            if frames:
-                self._frame()
-            if every:
-                run.history.append(row)
-                row |= history.more(run, plan.probes)
-                run.save(self.folder)
-                # A table of many rows takes long, and all of it is in the checkpoint.
-                if self.tables < SHARE * (perf_counter() - self.began):
-                    self._table()
-                self.log(f"t = {run.t:.6g} s, step {run.step}, {told(run)}")
+        if frames:
+            self._frame()
+        if every:
+            run.history.append(row)
+            row |= history.more(run, plan.probes)
+            # What is not written now is dropped if the run is killed, and then made again.
+            if self._affords("checkpoint"):
+                self._save()
+            if self._affords("history"):
+                self._table()
+            self.log(f"t = {run.t:.6g} s, step {run.step}, {told(run)}")
 
     def end(self) -> None:
-        """The history, and the time that all took."""
-        with self._timed():
-            self._table()
+        """The state, the history, and the time that all took."""
+        self._save()
+        self._table()
         flow = self.run.flow
         now = self.run.seconds | (flow.seconds if flow is not None else {})
-        now |= {"writing": self.seconds}
+        now |= {"writing": sum(self.spent.values())}
         total = {name: value + self.before.get(name, 0.0) for name, value in now.items()}
         with _written(self.folder):
             found = _environment_of(self.folder) or _environment(self.plan, "")
@@ -333,23 +336,32 @@ class _Output:
             found |= {"plan": asdict(self.plan), "seconds": total, "elapsed": elapsed}
             _write(self.folder / ENVIRONMENT, _json(found))
 
+    def _affords(self, what: str) -> bool:
+        """Whether the time spent on something leaves room for more of it."""
+        elapsed = perf_counter() - self.began
+        return max(self.spent[what], AT_FIRST[what]) < SHARE[what] * elapsed
+
     def _frame(self) -> None:
-        if self.run.flow is not None:
-            vtkhdf.append(self.folder / vtkhdf.FLOW, vtkhdf.flow(self.run, self.plan.cuts))
-        vtkhdf.append(self.folder / vtkhdf.DISCS, vtkhdf.discs(self.run))
+        with self._timed("frames"):
+            if self.run.flow is not None:
+                vtkhdf.append(self.folder / vtkhdf.FLOW, vtkhdf.flow(self.run, self.plan.cuts))
+            vtkhdf.append(self.folder / vtkhdf.DISCS, vtkhdf.discs(self.run))
+
+    def _save(self) -> None:
+        with self._timed("checkpoint"):
+            self.run.save(self.folder)
 
     def _table(self) -> None:
-        began = perf_counter()
-        history.write(self.folder / history.NAME, history.table(self.run, self.plan.probes))
-        self.tables += perf_counter() - began
+        with self._timed("history"):
+            history.write(self.folder / history.NAME, history.table(self.run, self.plan.probes))
 
     @contextmanager
-    def _timed(self) -> Iterator[None]:
+    def _timed(self, what: str) -> Iterator[None]:
         began = perf_counter()
         try:
             yield
         finally:
-            self.seconds += perf_counter() - began
+            self.spent[what] += perf_counter() - began
 
 
 @contextmanager
