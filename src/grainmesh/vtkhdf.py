@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
-from h5py import h5f, h5p
+from h5py import h5d, h5f, h5p, h5s
 from numpy.typing import NDArray
 
 from grainmesh.errors import InputError
@@ -302,12 +302,15 @@ def _append(path: Path, frame: Frame) -> None:
         root = file["VTKHDF"]
         number = int(root["Steps"].attrs["NSteps"])
 
-        def put(name: str, values: Any, start: int = number) -> int:
+        def put(name: str, values: Any, start: int = number) -> None:
             """Rows from `start`, over what a writer that was killed may have left there."""
-            data, values = root[name], np.asarray(values)
-            data.resize(start + len(values), axis=0)
-            data[start:] = values
-            return start
+            # Of its two faces, h5py's lower one: there are many small arrays.
+            data = h5d.open(root.id, name.encode())
+            values = np.ascontiguousarray(values, data.dtype)
+            data.set_extent((start + len(values), *values.shape[1:]))
+            rows = data.get_space()
+            rows.select_hyperslab((start, *(0,) * (values.ndim - 1)), values.shape)
+            data.write(h5s.create_simple(values.shape), rows, values)
 
         def before(counts: str) -> int:
             """Rows of the frames before."""
