@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import xarray
 
 import grainmesh as gm
 
@@ -21,22 +22,18 @@ SAMPLES, N = 5, 100
 BEGIN, END = "<!-- table: python docs/random_arrays.py -->", "<!-- end of table -->"
 
 
-def measure(n: int, samples: int, porosities: tuple[float, ...]) -> np.ndarray:
-    """Rows (min_gap, porosity, gamma, resolved K/d2, ratio Eq. (4) / resolved)."""
+def measure(n: int, samples: int, porosities: tuple[float, ...]) -> xarray.Dataset:
+    """Resolved permeabilities, and the ratio Eq. (4) / resolved, by min_gap, porosity and seed."""
+
+    def sample(min_gap: float, porosity: float, seed: int) -> gm.Permeability:
+        print(f"min_gap {min_gap} porosity {porosity} sample {seed}", end="\r", flush=True)
+        return gm.permeability(
+            *gm.arrange.random(n, porosity=porosity, diameter=1.0, min_gap=min_gap, seed=seed)
+        )
+
+    found = gm.sweep(sample, min_gap=MIN_GAPS, porosity=porosities, seed=range(samples))
     law = gm.closures.Microstructural()
-    rows = []
-    for min_gap in MIN_GAPS:
-        for porosity in porosities:
-            for seed in range(samples):
-                box, discs = gm.arrange.random(
-                    n, porosity=porosity, diameter=1.0, min_gap=min_gap, seed=seed
-                )
-                K = gm.permeability(box, discs)
-                rows.append(
-                    (min_gap, porosity, K.gap, K.normalised, law(porosity, K.gap) / K.normalised)
-                )
-                print(f"min_gap {min_gap} porosity {porosity} sample {seed}", end="\r", flush=True)
-    return np.array(rows)
+    return found.assign(ratio=law(found.porosity, found.gap) / found.normalised)
 
 
 def fit(ratio: np.ndarray) -> tuple[float, float, float]:
@@ -47,28 +44,29 @@ def fit(ratio: np.ndarray) -> tuple[float, float, float]:
     return float(C), float(C * scatter / np.sqrt(len(log))), float(scatter)
 
 
-def table(rows: np.ndarray) -> str:
+def table(found: xarray.Dataset) -> str:
     """The measured ratios and the fits, as Markdown."""
     lines = [
         "| min. gap / d | porosity | γ | resolved K/d² | scatter | Eq. (4) / resolved | range |",
         "|---|---|---|---|---|---|---|",
     ]
-    for min_gap in MIN_GAPS:
-        for porosity in np.unique(rows[:, 1]):
-            _, _, gap, K, ratio = rows[(rows[:, 0] == min_gap) & (rows[:, 1] == porosity)].T
+    for min_gap in found.min_gap.values:
+        for porosity in found.porosity.values:
+            of = found.sel(min_gap=min_gap, porosity=porosity)
+            gap, K, ratio = of.gap.values, of.normalised.values, of.ratio.values
             lines.append(
                 f"| {min_gap:g} | {porosity:g} | {gap.mean():.3f} | {K.mean():.3e} "
                 f"| {K.std(ddof=1) / K.mean():.0%} | {ratio.mean():.2f} "
                 f"| {ratio.min():.2f} to {ratio.max():.2f} |"
             )
     lines += ["", "| fitted to | C | standard error | scatter of one sample |", "|---|---|---|---|"]
-    for name, keep in (
-        ("all samples", rows[:, 0] >= 0.0),
-        ("no minimum gap", rows[:, 0] == 0.0),
-        ("minimum gap 0.05 d", rows[:, 0] == 0.05),
-        ("minimum gap 0.1 d", rows[:, 0] == 0.1),
+    for name, gaps in (
+        ("all samples", MIN_GAPS),
+        ("no minimum gap", [0.0]),
+        ("minimum gap 0.05 d", [0.05]),
+        ("minimum gap 0.1 d", [0.1]),
     ):
-        C, error, scatter = fit(rows[keep, 4])
+        C, error, scatter = fit(found.ratio.sel(min_gap=list(gaps)).values.ravel())
         lines.append(f"| {name} | {C:.4f} | {error:.4f} | {scatter:.0%} |")
     return "\n".join(lines)
 

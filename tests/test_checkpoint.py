@@ -1,11 +1,17 @@
 """Checkpoints: what is read is what was written, or is refused in one line."""
 
 import json
+import os
+import warnings
+from contextlib import suppress
 from dataclasses import replace
+from hashlib import sha256
 
 import h5py
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import grainmesh as gm
 from grainmesh import checkpoint
@@ -45,7 +51,7 @@ def all_of(simulation):
     ]  # fmt: skip
     numbers = simulation.model, simulation.step, simulation.dt, simulation.history
     counts = simulation.upkeeps, simulation.sorted, mesh.flips, mesh.inverted, mesh.made
-    return [(a.dtype, a.shape, a.tobytes()) for a in arrays], numbers, counts
+    return [(a.dtype, a.shape, a.tobytes()) for a in arrays], numbers, counts, simulation.about
 
 
 def test_all_is_read_as_it_was_written(tmp_path):
@@ -55,7 +61,22 @@ def test_all_is_read_as_it_was_written(tmp_path):
     assert again.history[-1] == again.measure()
     again.save(tmp_path)
     assert all_of(gm.resume(tmp_path)) == all_of(simulation)
-    assert [path.name for path in (tmp_path / "some" / "new folder").iterdir()] == ["checkpoint.h5"]
+    left = sorted(path.name for path in (tmp_path / "some" / "new folder").iterdir())
+    assert left == [checkpoint.NAME, checkpoint.OLD]
+
+
+def test_what_the_user_adds_is_kept(tmp_path):
+    simulation = a_run(tmp_path)
+    simulation.about["until"] = 0.1 + 0.2
+    simulation.save(tmp_path)
+    assert gm.resume(tmp_path).about == {"until": 0.1 + 0.2}
+
+
+def test_versions_are_in_the_file(folder):
+    with h5py.File(folder / checkpoint.NAME) as file:
+        found = json.loads(file["versions"][()])
+    assert found == checkpoint.versions()
+    assert found["numpy"] == np.__version__
 
 
 def test_numbers_of_the_model_keep_all_their_digits(tmp_path):
@@ -70,7 +91,7 @@ def test_numbers_of_the_model_keep_all_their_digits(tmp_path):
 
 def test_a_file_is_replaced_only_once_the_new_one_is_whole(tmp_path, monkeypatch):
     simulation = a_run(tmp_path)
-    before = (tmp_path / checkpoint.NAME).read_bytes()
+    before, files = (tmp_path / checkpoint.NAME).read_bytes(), len(list(tmp_path.iterdir()))
 
     def full(*_):
         raise OSError("no space left on device")
@@ -79,7 +100,7 @@ def test_a_file_is_replaced_only_once_the_new_one_is_whole(tmp_path, monkeypatch
     with pytest.raises(gm.InputError, match=r"cannot be written \(no space left"):
         simulation.run(0.25).save(tmp_path)
     assert (tmp_path / checkpoint.NAME).read_bytes() == before
-    assert len(list(tmp_path.iterdir())) == 1
+    assert len(list(tmp_path.iterdir())) == files
     monkeypatch.undo()
     assert gm.resume(tmp_path).step < simulation.step
 
@@ -88,6 +109,68 @@ def test_a_folder_that_cannot_be_is_refused(tmp_path):
     (tmp_path / "file").write_text("here is a file")
     with pytest.raises(gm.InputError, match="cannot be written"):
         a_run(tmp_path / "file" / "folder")
+
+
+# The one before ----------------------------------------------------------------------------------
+
+
+def test_the_one_before_is_kept_and_taken_if_the_last_is_damaged(tmp_path):
+    simulation = a_run(tmp_path)
+    first = all_of(simulation)
+    simulation.run(0.25, save=tmp_path)
+    simulation.save(tmp_path)
+    (tmp_path / checkpoint.OLD).unlink()
+    again = gm.resume(tmp_path).run(0.3)
+    again.save(tmp_path)
+    last, before = (tmp_path / name for name in (checkpoint.NAME, checkpoint.OLD))
+    assert all_of(gm.resume(tmp_path)) == all_of(again)
+    assert all_of(gm.resume(before)) == all_of(simulation) != first
+    last.write_bytes(last.read_bytes()[:-1])
+    with pytest.warns(UserWarning, match="checkpoint.h5: damaged .* the one before") as told:
+        other = gm.resume(tmp_path)
+    assert "\n" not in str(told[0].message)
+    assert all_of(other) == all_of(simulation)
+    # A damaged one does not push out the good one.
+    good = before.read_bytes()
+    other.run(0.3).save(tmp_path)
+    assert before.read_bytes() == good
+    assert all_of(gm.resume(tmp_path)) == all_of(again)
+
+
+def test_a_kill_between_the_two_renames_loses_nothing(tmp_path, monkeypatch):
+    simulation = a_run(tmp_path)
+    rename, calls = os.replace, []
+
+    def once(*names):
+        if calls:
+            raise SystemExit
+        calls.append(names)
+        rename(*names)
+
+    monkeypatch.setattr(checkpoint.os, "replace", once)
+    with pytest.raises(SystemExit):
+        simulation.save(tmp_path)
+    assert not (tmp_path / checkpoint.NAME).exists()
+    with pytest.warns(UserWarning, match="no such file"):
+        again = gm.resume(tmp_path)
+    assert all_of(again) == all_of(simulation)
+
+
+def test_two_damaged_ones_are_refused(folder, tmp_path):
+    content = (folder / checkpoint.NAME).read_bytes()
+    for name in (checkpoint.NAME, checkpoint.OLD):
+        (tmp_path / name).write_bytes(content[:-1])
+    assert "checkpoint.h5: damaged" in refusal(tmp_path)
+
+
+def test_another_format_is_refused_even_beside_an_older_file(folder, tmp_path):
+    content = (folder / checkpoint.NAME).read_bytes()
+    data = content[checkpoint.BLOCK :]
+    (tmp_path / checkpoint.OLD).write_bytes(content)
+    (tmp_path / checkpoint.NAME).write_bytes(
+        checkpoint._head(data, "grainmesh checkpoint 9") + data
+    )
+    assert "is a grainmesh checkpoint 9, and this version of grainmesh reads 2" in refusal(tmp_path)
 
 
 # Damage ------------------------------------------------------------------------------------------
@@ -156,7 +239,6 @@ def test_a_part_that_is_missing_is_refused(folder, tmp_path):
 
 def test_a_model_that_makes_no_sense_is_refused(folder, tmp_path):
     model, numbers, arrays = checkpoint.read(folder)
-    checkpoint.write(tmp_path, model, numbers, arrays)
     object.__setattr__(model.contact, "stiffness", -1.0)
     checkpoint.write(tmp_path, model, numbers, arrays)
     assert "stiffness = -1 must be positive" in refusal(tmp_path)
@@ -186,4 +268,79 @@ def test_nothing_in_the_file_is_executed(folder):
     assert all(isinstance(text, dict) for text in texts)
     kinds = [kind.kind for kind in kinds if kind is not None]
     assert set(kinds) <= {"f", "i", "u", "O"}
-    assert kinds.count("O") == 2  # the texts
+    assert kinds.count("O") == 3  # the texts
+
+
+# Fuzz --------------------------------------------------------------------------------------------
+
+
+@st.composite
+def damage(draw):
+    """What is done to the bytes of a checkpoint."""
+    kind = draw(st.sampled_from(["cut", "flip", "fill", "insert", "other"]))
+    share, bits = draw(st.floats(0.0, 1.0, exclude_max=True)), draw(st.binary(min_size=1))
+
+    def apply(content):
+        at = int(share * len(content))
+        if kind == "cut":
+            return content[:at]
+        if kind == "flip":
+            return content[:at] + bytes([content[at] ^ (bits[0] or 1)]) + content[at + 1 :]
+        if kind == "fill":
+            return content[:at] + bits + content[at + len(bits) :]
+        return content[:at] + bits + content[at:] if kind == "insert" else bits
+
+    return apply
+
+
+def refused_or_the_same(folder, tmp, change):
+    content = (folder / checkpoint.NAME).read_bytes()
+    changed = change(content)
+    (tmp / checkpoint.NAME).write_bytes(changed)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        if changed == content:
+            gm.resume(tmp)
+        else:
+            refusal(tmp)
+
+
+@given(change=damage())
+@settings(max_examples=200, deadline=None)
+def test_fuzzed_files_are_refused(folder, tmp_path_factory, change):
+    refused_or_the_same(folder, tmp_path_factory.getbasetemp(), change)
+
+
+@pytest.mark.slow
+@given(change=damage())
+@settings(max_examples=600, deadline=None)
+def test_many_fuzzed_files_are_refused(folder, tmp_path_factory, change):
+    refused_or_the_same(folder, tmp_path_factory.getbasetemp(), change)
+
+
+values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner),
+    max_leaves=5,
+)
+
+
+@given(data=st.data())
+@settings(max_examples=60, deadline=None)
+def test_sound_files_with_other_texts_are_read_or_refused(folder, tmp_path_factory, data):
+    """A file that someone has made: its checksum is right, its content anything."""
+    tmp = tmp_path_factory.getbasetemp()
+    part = data.draw(st.sampled_from(["model", "numbers"]))
+    memory = tmp / "memory.h5"
+    memory.write_bytes((folder / checkpoint.NAME).read_bytes())
+    with h5py.File(memory, "a") as file:
+        text = json.loads(file[part][()])
+        key = data.draw(st.sampled_from(sorted(text)))
+        text[key] = data.draw(values)
+        del file[part]
+        file[part] = json.dumps(text)
+    content = memory.read_bytes()[checkpoint.BLOCK :]
+    head = f"{checkpoint.FORMAT}\nsha256 {sha256(content).hexdigest()}\n".encode()
+    (tmp / checkpoint.NAME).write_bytes(head.ljust(checkpoint.BLOCK, b"\0") + content)
+    with suppress(gm.InputError):
+        gm.resume(tmp)

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -148,7 +149,7 @@ def test_unwritable_folder_is_found_before_the_work(verb, below, run, discs, mon
     def never(*_, **__):
         raise AssertionError("the work has begun")
 
-    monkeypatch.setattr(cli, "solve", never)
+    monkeypatch.setattr(import_module("grainmesh.permeability"), "permeability", never)
     monkeypatch.setattr("grainmesh.paper.fig1", never)
     out = discs / below  # below a file there is no folder
     before = files(discs.parent)
@@ -315,7 +316,7 @@ def test_interrupt(run, discs, monkeypatch):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(cli, "solve", interrupted)
+    monkeypatch.setattr(import_module("grainmesh.permeability"), "permeability", interrupted)
     assert run("permeability", discs, *FAST) == (130, "", "interrupted\n")
 
 

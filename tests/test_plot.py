@@ -10,9 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
+from xarray import Dataset
 
 import grainmesh as gm
-from grainmesh import plot
+from grainmesh import canvas, plot
 
 
 @pytest.fixture(autouse=True)
@@ -53,7 +54,7 @@ def test_images_of_triangles_tile_a_periodic_box(case):
     box, _, (exact, _) = case
     points, triangles, _ = plot.sample(exact.detail)
     middle = points[triangles].mean(axis=1)
-    place, _, which = plot._tiled(box, middle, np.full(len(middle), 0.3 * box.width))
+    place, _, which = canvas.tiled(box, middle, np.full(len(middle), 0.3 * box.width))
     inside = ((place >= 0.0) & (place < box.size)).all(axis=1)
     np.testing.assert_array_equal(np.sort(which[inside]), np.arange(len(middle)))
 
@@ -66,7 +67,7 @@ def test_tiled_finds_every_image(discs):
     box = gm.Box(1.0, 2.0, periodic=True)
     table = np.array(discs)
     centre, reach = table[:, :2], table[:, 2]
-    place, size, which = plot._tiled(box, centre, reach)
+    place, size, which = canvas.tiled(box, centre, reach)
     np.testing.assert_array_equal(size, reach[which])
     steps = np.arange(-9, 10)
     for i in range(len(table)):
@@ -151,7 +152,7 @@ def moving(request):
     return gm.Simulation(model, grains).run(until=0.01)
 
 
-@pytest.mark.parametrize("show", ["speed", "pressure"])
+@pytest.mark.parametrize("show", ["speed", "pressure", "porosity"])
 def test_motion_draws_the_flow_once_all_over_the_box(moving, show):
     box = moving.model.box
     _, mine = plt.subplots()
@@ -166,10 +167,41 @@ def test_motion_draws_the_flow_once_all_over_the_box(moving, show):
     assert area[own].sum() / box.area == pytest.approx(1.0, rel=0.02 if box.periodic else 1e-9)
     tenth = 0.1 * np.ptp(value)  # linear within each part
     some = np.flatnonzero(own)[::40]
-    u, p, _ = moving.flow.at(points[corners.triangles[some]].mean(axis=1))
-    exact = np.hypot(*u.T) if show == "speed" else p
+    u, p, eps = moving.flow.at(points[corners.triangles[some]].mean(axis=1))
+    exact = {"speed": np.hypot(*u.T), "pressure": p, "porosity": eps}[show]
     assert value[corners.triangles[some]].mean(axis=1) == pytest.approx(exact, abs=tenth)
     assert len(some) > 20
+    mean = (area[own] * value[corners.triangles[own]].mean(axis=1)).sum() / box.area
+    if show == "porosity":  # all of the solid, wherever the discs are spread
+        solid = 0.25 * np.pi * (moving.particles.diameter**2).sum() / box.area
+        assert mean == pytest.approx(1.0 - solid, rel=0.02)
+    flow = moving.flow.sample(2)
+    whole = np.hypot(*flow.velocity.T) if show == "speed" else getattr(flow, show)
+    assert whole.min() - 0.1 * np.ptp(whole) <= value.min()
+    assert value.max() <= whole.max() + 0.1 * np.ptp(whole)
+
+
+def test_discs_are_coloured_by_values_each_image_by_its_own():
+    box = gm.Box(1.0, 1.0, periodic=True)
+    discs = gm.Particles([[0.05, 0.5], [0.5, 0.5]], 0.2)
+    shown = plot.discs(box, discs, colour=[3.0, 7.0], label="speed [m/s]").collections[0]
+    place, value = shown.get_offsets(), shown.get_array()
+    assert sorted(value) == [3.0, 3.0, 7.0]
+    np.testing.assert_allclose(place[value == 7.0], [[0.5, 0.5]])
+    np.testing.assert_allclose(np.sort(place[value == 3.0][:, 0]), [0.05, 1.05])
+    assert len(shown.figure.axes) == 2
+
+
+def test_histories_name_their_unit_and_leave_out_what_is_not_there():
+    rows = {"kinetic": ("t", [1.0, 2.0], {"units": "J m-1"}), "height": ("t", [3.0, 4.0])}
+    table = Dataset(rows, coords={"t": [0.0, 0.5]})
+    ax = plot.histories(table, "kinetic", "rotational")
+    assert ax.get_ylabel() == "kinetic [J/m]"
+    np.testing.assert_array_equal(ax.lines[0].get_xydata(), [[0.0, 1.0], [0.5, 2.0]])
+    assert len(ax.lines) == 1
+    both = plot.histories(table, "kinetic", "height", ax=ax)
+    assert both is ax
+    assert [text.get_text() for text in ax.get_legend().get_texts()][-2:] == ["kinetic", "height"]
 
 
 def test_motion_needs_a_fluid_and_knows_what_to_show(moving):
@@ -178,7 +210,7 @@ def test_motion_needs_a_fluid_and_knows_what_to_show(moving):
     )
     with pytest.raises(gm.InputError, match="use plot"):
         plot.motion(dry)
-    with pytest.raises(gm.InputError, match="speed or pressure"):
+    with pytest.raises(gm.InputError, match="speed, pressure, porosity"):
         plot.motion(moving, show="heat")
 
 

@@ -1,8 +1,11 @@
 """The command line: verbs over files, and the only module that prints.
 
-Exit status: 0 done; 2 bad input, with one plain line on stderr; 130 interrupted. Results go to
-stdout; progress, warnings and errors to stderr. Lengths on the command line are metres, as in
-Python: only the columns of a file have a unit of their own.
+Exit status: 0 done; 1 a run that cannot go on, or a case that is off; 2 bad input, with one plain
+line on stderr; 130 or 143 interrupted. Results go to stdout; progress, warnings and errors to
+stderr. Lengths on the command line are metres, as in Python: only the columns of a file have a unit
+of their own.
+
+What takes long to load is imported by the verb that needs it, so that ``--help`` is quick.
 """
 
 from __future__ import annotations
@@ -16,22 +19,21 @@ from contextlib import contextmanager
 from dataclasses import replace
 from io import TextIOWrapper
 from pathlib import Path
-from typing import Annotated, cast, get_args
+from typing import TYPE_CHECKING, Annotated, cast, get_args
 
-import numpy as np
 import typer
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from grainmesh import __version__, arrange, report
+from grainmesh import __version__
 from grainmesh.closures import LAWS
-from grainmesh.domain import Box
-from grainmesh.errors import InputError
-from grainmesh.particles import Particles
-from grainmesh.permeability import METHODS, Permeability
-from grainmesh.permeability import permeability as solve
-from grainmesh.resolved import Walls
+from grainmesh.errors import InputError, RunError
+
+if TYPE_CHECKING:
+    from grainmesh.domain import Box
+    from grainmesh.particles import Particles
+    from grainmesh.permeability import Permeability
 
 #: The error of the command-line parser, wherever this version of typer takes it from.
 ParserError: type[Exception] = typer.BadParameter.__mro__[2]
@@ -39,7 +41,9 @@ ParserError: type[Exception] = typer.BadParameter.__mro__[2]
 #: Discs thicker than this [m] are rare enough to ask for the unit of the file.
 LARGE = 2.0
 FILES = ("permeability.json", "permeability.csv", "permeability.png")
+FOUND = ("fibres.csv", "fibres.png")
 FIGURES = ("fig1", "fig2", "fig3")
+STARTERS = ("settling", "sedimentation", "fluidised-bed", "filtration", "permeability")
 
 app = typer.Typer(
     name="grainmesh",
@@ -82,6 +86,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(f"{text.rstrip('.')}; see {path} --help")
     except InputError as error:
         return _fail(str(error))
+    except RunError as error:
+        _fail(str(error))
+        return 1
     except BrokenPipeError:  # the reader has gone, as in `| head`: nobody is left to tell
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
@@ -108,6 +115,125 @@ def grainmesh(
         print(f"grainmesh {__version__}")
     elif context.invoked_subcommand is None:
         print(context.get_help())
+
+
+@app.command()
+def new(
+    name: Annotated[str, typer.Argument(help="Name of the case: NAME.toml is written.")],
+    starter: Annotated[
+        str,
+        typer.Option(help=f"What to begin with: {', '.join(STARTERS)}."),
+    ] = STARTERS[0],
+) -> None:
+    """Write a commented case file to begin with."""
+    from grainmesh import case, report
+
+    text = case.starter(starter)
+    path = Path(name if name.endswith(".toml") else f"{name}.toml")
+    if path.exists():
+        raise InputError(f"{path}: is there already; choose another name or remove it")
+
+    def as_text(to: Path) -> None:
+        to.write_text(text, encoding="utf-8")
+
+    report.write(path.parent, {path.name: as_text})
+    print(f"{path}\n  grainmesh check {path}\n  grainmesh run {path} --out {path.with_suffix('')}")
+
+
+@app.command()
+def check(
+    file: Annotated[Path, typer.Argument(metavar="CASE", help="Case file (TOML).")],
+    changes: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Change a key, as fluid.viscosity='2 cP'."),
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object in place of the table.")
+    ] = False,
+) -> None:
+    """Arrange and mesh the particles of a case, run nothing: what regime, what cost, what is off.
+
+    Exit status 1 if something is off; the reasons are on stderr.
+    """
+    from grainmesh import case
+    from grainmesh.preview import preview
+
+    with _progress() as tell:
+        tell("arranging")
+        found = preview(case.read(file, changes or ()))
+    if as_json:
+        print(json.dumps(found.to_dict(), indent=2, allow_nan=False))
+    else:
+        table = Table(box=SIMPLE_HEAD)
+        for title in ("", "value", "unit", ""):
+            table.add_column(title, justify="right" if title == "value" else "left")
+        for number in found.numbers:
+            table.add_row(number.name, f"{number.value:.4g}", number.unit, number.words)
+        Console().print(table)
+    for reason in found.reasons:
+        print("off: " + " ".join(reason.split()), file=sys.stderr)
+    if found.reasons:
+        raise typer.Exit(1)
+
+
+@app.command()
+def run(
+    file: Annotated[Path, typer.Argument(metavar="CASE", help="Case file (TOML).")],
+    out: Annotated[Path, typer.Option(help="Folder for all that the run leaves.")],
+    changes: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Change a key, as fluid.viscosity='2 cP'."),
+    ] = None,
+    until: Annotated[float | None, typer.Option(help="Time to reach [s], not run.until.")] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False,
+    log: Annotated[Path | None, typer.Option(help="Log file, not run.log in the folder.")] = None,
+) -> None:
+    """Run a case. Ctrl-C finishes the step and saves; `grainmesh resume` goes on from there."""
+    from grainmesh import case, report
+    from grainmesh.record import record
+
+    changes = [*(changes or ()), *([] if until is None else [f"run.until={until!r}"])]
+    found = case.read(file, changes)
+    if found.run is None:
+        report.prove_writable(out, FILES)
+        with _progress() as tell, _warned():
+            results = found.solve(tell)
+            _write(out, *found.arrangement()[:2], results)
+        _show(file, results, ())
+        return
+    about = found.run
+    with _warned(), _stopped():
+        with _progress() as tell:
+            tell("" if quiet else "arranging the particles")
+            begun = found.simulation()
+        plan = about.until, about.every, about.frames, about.cuts, about.probes
+        record(begun, out, *plan, text=found.text, source=found.path, shown=not quiet, log=log)
+    _report(out)
+    print(out)
+
+
+@app.command()
+def resume(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a run.")],
+    until: Annotated[float | None, typer.Option(help="Another time to reach [s].")] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False,
+    log: Annotated[Path | None, typer.Option(help="Log file, not run.log in the folder.")] = None,
+) -> None:
+    """Go on with a run that was stopped or killed, as if it had not been."""
+    from grainmesh import record
+
+    with _warned(), _stopped():
+        record.resume(folder, until, shown=not quiet, log=log)
+    _report(folder)
+    print(folder)
+
+
+@app.command()
+def schema() -> None:
+    """Print the JSON schema of case files, for editors that complete and check TOML."""
+    from grainmesh import case
+
+    print(json.dumps(case.schema(), indent=2))
 
 
 @app.command()
@@ -142,7 +268,7 @@ def permeability(
     ] = None,
     method: Annotated[
         str, typer.Option(help="One or more of resolved, mesoscale, microstructure.")
-    ] = ",".join(METHODS),
+    ] = "resolved,mesoscale,microstructure",
     law: Annotated[
         str,
         typer.Option(help=f"Drag law of mesoscale and microstructure: {', '.join(LAWS)}."),
@@ -170,6 +296,13 @@ def permeability(
     of the box cuts, the part inside counts, in every method; discs wholly outside are refused
     unless --crop drops them.
     """
+    import numpy as np
+
+    from grainmesh import arrange, report
+    from grainmesh.permeability import METHODS
+    from grainmesh.permeability import permeability as solve
+    from grainmesh.resolved import Walls
+
     methods = _methods(method)
     if law not in LAWS:
         raise InputError(f"law '{law}' unknown: use one of {', '.join(LAWS)}")
@@ -244,6 +377,145 @@ def permeability(
 
 
 @app.command()
+def fibres(
+    image: Annotated[Path, typer.Argument(help="Micrograph or slice: PNG, TIFF, JPEG.")],
+    diameter: Annotated[
+        str,
+        typer.Option(
+            metavar="PIXELS", help="Diameter of the fibres, to some 30 %; or least,largest."
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help=f"Folder to write {' and '.join(FOUND)} to.")],
+    pixel: Annotated[
+        float | None, typer.Option(help="Size of a pixel [m]: the list is then in metres.")
+    ] = None,
+    bright: Annotated[
+        bool | None,
+        typer.Option("--bright/--dark", help="Fibres against ground; default: found out."),
+    ] = None,
+    score: Annotated[float, typer.Option(help="Least score of a fibre, from 0 to 1.")] = 0.5,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Find fibres in an image: a list that permeability reads, and a picture for checking."""
+    from grainmesh import fibres as discs
+    from grainmesh import report
+
+    if pixel is not None and not 0.0 < pixel < 1.0:
+        raise InputError(f"pixel {pixel:g} must be its size in metres, as 0.5e-6")
+    report.prove_writable(out, FOUND)
+    try:
+        wanted = [float(part) for part in diameter.split(",")]
+    except ValueError:
+        wanted = []
+    if len(wanted) not in (1, 2):
+        raise InputError(f"diameter '{diameter}' must be pixels: one number, or least,largest")
+    with _progress() as tell:
+        tell("looking for fibres")
+        found = discs.find(
+            image,
+            wanted[0] if len(wanted) == 1 else (wanted[0], wanted[1]),
+            bright=bright,
+            score=score,
+        )
+        tell("writing")
+        _headless()
+        scale, unit = (1.0, "pixels") if pixel is None else (pixel, "m")
+        width, height = (side * scale for side in found.size)
+        rows = [
+            {"x": x * scale, "y": y * scale, "d": 2.0 * r * scale, "score": s}
+            for (x, y), r, s in zip(
+                found.x.tolist(), found.radius.tolist(), found.score.tolist(), strict=True
+            )
+        ]
+        comments = [
+            f"fibres of {image.name}, by grainmesh {__version__}; lengths in {unit}",
+            f"x and y upwards from the lower left corner of the image, {width:g} x {height:g}",
+        ]
+        report.write(
+            out,
+            {
+                FOUND[0]: lambda path: report.write_csv(path, rows, comments),
+                FOUND[1]: lambda path: discs.save_overlay(discs.read(image), found, path),
+            },
+        )
+    if as_json:
+        print(json.dumps(found.to_dict(), indent=2, allow_nan=False))
+        return
+    print(f"{image}: {found!r}")
+    print(f"{out / FOUND[0]}  in {unit}\n{out / FOUND[1]}  look whether all is well")
+    if pixel is not None:
+        print(f"grainmesh permeability {out / FOUND[0]} --window 0,0,{width:g},{height:g}")
+
+
+@app.command()
+def report(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a run.")],
+) -> None:
+    """Write report.html of a run anew: one page with pictures, histories, times, what to cite."""
+    print(_report(folder))
+
+
+@app.command()
+def show(
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="Folder of a run, or of a permeability.")
+    ],
+    port: Annotated[
+        int, typer.Option(help="Port on this machine; default: a free one.", min=0, max=65535)
+    ] = 0,
+) -> None:
+    """Look at a run in the browser: prints an address to open, and serves it until Ctrl-C."""
+    picture = folder / FILES[-1]
+    if picture.is_file():
+        print(picture.resolve().as_uri())
+        return
+    from grainmesh import viewer
+
+    viewer.serve(folder, port, ready=lambda address: print(address, flush=True))
+
+
+@app.command()
+def cite(
+    what: Annotated[
+        Path | None, typer.Argument(metavar="[CASE or DIR]", help="Default: grainmesh itself.")
+    ] = None,
+) -> None:
+    """Print the BibTeX of grainmesh, and of the methods and laws of a case or a run."""
+    from grainmesh import cite as sources
+
+    print(sources.bibtex([] if what is None else _used(what)), end="")
+
+
+def _report(folder: Path) -> Path:
+    _headless()
+    from grainmesh import page
+
+    with _progress() as tell:
+        tell("drawing the report")
+        return page.write(folder)
+
+
+def _used(what: Path) -> list[str]:
+    """Methods and laws of a case, a run or the results of a permeability."""
+    from grainmesh import case, cite, page, simulation
+
+    found = what / FILES[0]
+    if found.is_file():
+        try:
+            results = json.loads(found.read_text(encoding="utf-8"))["results"]
+            return [result["method"] for result in results]
+        except (ValueError, KeyError, TypeError):
+            raise InputError(f"{found}: damaged, or no results of grainmesh") from None
+    if what.is_dir() and not (what / "case.toml").is_file():
+        return page.used(simulation.resume(what).model)
+    given = case.read(what / "case.toml" if what.is_dir() else what)
+    if given.permeability is not None:
+        return [*given.permeability.method, given.permeability.law]
+    names = ["contacts", *(["flow", given.fluid.drag] if given.fluid else [])]
+    return [name for name in names if name in cite.SOURCES]
+
+
+@app.command()
 def paper(
     figure: Annotated[str, typer.Argument(metavar="FIGURE", help="fig1, fig2 or fig3.")],
     out: Annotated[Path, typer.Option(help="Folder to write the picture and its numbers to.")],
@@ -252,6 +524,8 @@ def paper(
     """Make a figure of the paper again (Yazdchi, Srivastava, Luding 2013), with its numbers."""
     if figure not in FIGURES:
         raise InputError(f"figure '{figure}' unknown: use one of {', '.join(FIGURES)}")
+    from grainmesh import report
+
     report.prove_writable(out, [f"{figure}.png", f"{figure}.csv"])
     with _progress() as tell, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -271,6 +545,8 @@ def _named(tell: Callable[[str], None], method: str) -> Callable[[str], None]:
 
 
 def _methods(text: str) -> list[str]:
+    from grainmesh.permeability import METHODS
+
     methods = list(dict.fromkeys(name.strip() for name in text.split(",")))
     for name in methods:
         if name not in METHODS:
@@ -300,6 +576,31 @@ def _progress() -> Iterator[Callable[[str], None]]:
         yield lambda text: status.update(text)
 
 
+@contextmanager
+def _warned() -> Iterator[None]:
+    """Warnings on stderr as they come, one line each."""
+
+    def show(message: Warning | str, *_: object) -> None:
+        print("warning: " + " ".join(str(message).split()), file=sys.stderr)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        warnings.showwarning = show  # type: ignore[assignment]
+        yield
+
+
+@contextmanager
+def _stopped() -> Iterator[None]:
+    """A run that was asked to stop: say so, and exit as signals do."""
+    from grainmesh.record import Stopped
+
+    try:
+        yield
+    except Stopped as stop:
+        print(stop, file=sys.stderr)
+        raise typer.Exit(128 + stop.signal) from None
+
+
 def _headless() -> None:
     import matplotlib
 
@@ -308,7 +609,7 @@ def _headless() -> None:
 
 def _write(out: Path, box: Box, particles: Particles, results: Sequence[Permeability]) -> None:
     _headless()
-    from grainmesh import plot
+    from grainmesh import plot, report
 
     def as_json(path: Path) -> None:
         text = json.dumps(report.as_dict(results), indent=2, allow_nan=False)

@@ -65,6 +65,7 @@ from grainmesh.domain import SIDES, Box
 from grainmesh.errors import InputError
 from grainmesh.mesh import flow_mesh, hats, linear, moments, spaces
 from grainmesh.particles import Particles, settle
+from grainmesh.plain import plain
 from grainmesh.saddle import SaddleFactor, entries, threads
 from grainmesh.triangulation import Triangulation, triangulate
 
@@ -220,6 +221,19 @@ class Mesoscale:
     velocity: tuple[Any, Any]
     porosity: Any
     scale: float
+
+    def __repr__(self) -> str:
+        (xx, _), (_, yy) = self.tensor
+        return (
+            f"Mesoscale: Kxx = {xx:.4g} m², Kyy = {yy:.4g} m² ± {100 * self.error:.2g} %, "
+            f"{self.force.shape[1]} discs, order {self.order}, {self.dofs} unknowns"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """As plain numbers, ready for JSON, without the fields on the mesh."""
+        names = ("tensor", "force", "error", "order", "dofs")
+        found: dict[str, Any] = plain({name: getattr(self, name) for name in names})
+        return found
 
 
 def solve(

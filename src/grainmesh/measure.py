@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import sqrt
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from grainmesh.motion import IJ, IM, QR, Q, R, X, Y, held, to_wall
 from grainmesh.pairs import Near
+from grainmesh.plain import plain
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -42,6 +44,19 @@ class Contacts:
 
     def __len__(self) -> int:
         return len(self.pair)
+
+    def __repr__(self) -> str:
+        if len(self) == 0:
+            return "Contacts: none"
+        return (
+            f"Contacts: {len(self)}, force {self.force.mean():.4g} N/m in the mean, at most "
+            f"{self.force.max():.4g} N/m, overlap at most {self.overlap.max():.3g} m"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """As plain numbers, ready for JSON: one list a field."""
+        found: dict[str, Any] = plain(vars(self))
+        return found
 
 
 def contacts_of_discs(s: Float, near: Near, law: Float, slot: Int) -> Contacts:

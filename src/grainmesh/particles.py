@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from grainmesh.domain import Box
 from grainmesh.errors import InputError
+from grainmesh.plain import plain, spread
 
 #: Discs that overlap by more than this share of the smaller radius are refused.
 MAX_OVERLAP = 0.3
@@ -65,6 +67,17 @@ class Particles:
 
     def __len__(self) -> int:
         return len(self.x)
+
+    def __repr__(self) -> str:
+        return (
+            f"Particles: {len(self)}, d = {spread(self.diameter, 'm')}, "
+            f"density {spread(self.density, 'kg/m³')}"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """As plain numbers, ready for JSON: lists of x, diameter and density."""
+        found: dict[str, Any] = plain(vars(self))
+        return found
 
     @property
     def radius(self) -> Float:

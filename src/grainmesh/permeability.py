@@ -16,7 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from math import hypot, nan
 from time import perf_counter
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ from grainmesh.domain import Box
 from grainmesh.errors import InputError
 from grainmesh.links import CLOSED
 from grainmesh.particles import Particles, settle
+from grainmesh.plain import plain
 from grainmesh.triangulation import Triangulation, triangulate
 
 Method = Literal["resolved", "mesoscale", "microstructure"]
@@ -79,6 +80,24 @@ class Permeability:
     error: float
     notes: tuple[str, ...]
     detail: resolved.Resolved | fluid.Mesoscale | None
+
+    def __repr__(self) -> str:
+        (xx, _), (_, yy) = self.tensor
+        return (
+            f"Permeability ({self.method}): K/d² = {self.normalised:.4g} ± "
+            f"{100 * self.error:.2g} %, Kxx = {xx:.3g} m², Kyy = {yy:.3g} m²; "
+            f"{self.n} discs, d = {self.diameter:.4g} m, porosity {self.porosity:.4f}, "
+            f"gap {self.gap:.4g}; {self.dofs} unknowns, {self.seconds:.2g} s"
+            + "".join(f"; {note}" for note in self.notes)
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """As plain numbers, ready for JSON, without `detail`; SI, None for what is not finite."""
+        names = ("method", "porosity", "n", "diameter", "gap", "tensor", "normalised", "dofs")
+        found: dict[str, Any] = plain(
+            {name: getattr(self, name) for name in (*names, "seconds", "error", "notes")}
+        )
+        return found
 
     @property
     def normalised(self) -> float:

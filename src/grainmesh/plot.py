@@ -6,13 +6,14 @@ it are drawn. Nothing here chooses a backend or shows a window.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from dataclasses import field as attribute
 from io import BytesIO
 from pathlib import Path
 from shutil import which as installed
 from subprocess import run
-from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -20,14 +21,15 @@ from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
-from matplotlib.ticker import EngFormatter, MaxNLocator
-from matplotlib.tri import Triangulation as Triangles
 from ngsolve import VOL, IntegrationRule, x, y
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from PIL import Image
+from xarray import Dataset
 
+from grainmesh.canvas import frame, save, tiled, tiled_triangles
 from grainmesh.domain import Box
 from grainmesh.errors import InputError
+from grainmesh.fields import Sample
 from grainmesh.fluid import Mesoscale
 from grainmesh.particles import Particles, settle
 from grainmesh.permeability import Permeability
@@ -40,6 +42,8 @@ Float = NDArray[np.float64]
 FIBRE, EDGE, MESH, NODE = "#c9ced6", "#5d6673", "#1f5a93", "#d1495b"
 METHOD = {"resolved": "#1f5a93", "mesoscale": "#d1495b", "microstructure": "#edae49"}
 SPEED = "viridis"
+#: Fields of a flow that can be drawn, and their units.
+SHOWN = {"speed": "m/s", "pressure": "Pa", "porosity": ""}
 
 #: Triangles that a picture of a flow is made of, at most about so many.
 FINEST = 400_000
@@ -47,7 +51,14 @@ FINEST = 400_000
 FINEST_FRAME = 40_000
 
 
-def discs(box: Box, particles: Particles, ax: Axes | None = None) -> Axes:
+def discs(
+    box: Box,
+    particles: Particles,
+    ax: Axes | None = None,
+    *,
+    colour: ArrayLike | None = None,
+    label: str = "",
+) -> Axes:
     """The discs, with their periodic images.
 
     Parameters
@@ -55,20 +66,28 @@ def discs(box: Box, particles: Particles, ax: Axes | None = None) -> Axes:
     box : Box
     particles : Particles
     ax : matplotlib.axes.Axes, optional
+    colour : array_like, optional
+        (n,) values to colour them by; all are grey if not given.
+    label : str
+        What `colour` is, with its unit; a scale is drawn beside the axes if given.
     """
-    ax = _frame(box, ax)
-    centre, d = _images(box, particles.x, 0.5 * particles.diameter)
-    ax.add_collection(
-        EllipseCollection(
-            *(d, d, np.zeros(len(d))),
-            units="xy",
-            offsets=centre,
-            offset_transform=ax.transData,
-            facecolors=FIBRE,
-            edgecolors=EDGE,
-            linewidths=0.4,
-        )
+    ax = frame(box, ax)
+    centre, reach, which = tiled(box, particles.x, 0.5 * particles.diameter)
+    shown = EllipseCollection(
+        *(2.0 * reach, 2.0 * reach, np.zeros(len(reach))),
+        units="xy",
+        offsets=centre,
+        offset_transform=ax.transData,
+        facecolors=FIBRE,
+        edgecolors=EDGE,
+        linewidths=0.4,
+        cmap=SPEED,
     )
+    if colour is not None:
+        shown.set_array(np.asarray(colour, dtype=float)[which])
+    ax.add_collection(shown)
+    if label:
+        ax.figure.colorbar(shown, ax=ax, label=label, shrink=0.8)
     return ax
 
 
@@ -81,12 +100,12 @@ def mesh(triangulation: Triangulation, ax: Axes | None = None) -> Axes:
     ax : matplotlib.axes.Axes, optional
     """
     box = triangulation.box
-    ax = _frame(box, ax)
+    ax = frame(box, ax)
     i, j = triangulation.edges.T
     start = triangulation.points[i]
     end = triangulation.points[j] + triangulation.edge_shifts * box.size
     half = 0.5 * np.abs(end - start).max(axis=1)
-    middle, _, which = _tiled(box, 0.5 * (start + end), half)
+    middle, _, which = tiled(box, 0.5 * (start + end), half)
     along = 0.5 * (end - start)[which]
     lines = np.stack([middle - along, middle + along], axis=1)
     width = min(0.8, 12.0 / np.sqrt(len(i)))
@@ -104,13 +123,15 @@ def mesh(triangulation: Triangulation, ax: Axes | None = None) -> Axes:
 def chains(simulation: Simulation, ax: Axes | None = None) -> Axes:
     """Normal forces as lines through the contacts, as thick as the force is strong.
 
+    The strongest are half as thick as a mean disc.
+
     Parameters
     ----------
     simulation : Simulation
     ax : matplotlib.axes.Axes, optional
     """
     box, particles, contacts = simulation.model.box, simulation.particles, simulation.contacts
-    ax = _frame(box, ax)
+    ax = frame(box, ax)
     if len(contacts) == 0:
         return ax
     i, j = np.searchsorted(simulation.ids, contacts.pair).T
@@ -119,7 +140,9 @@ def chains(simulation: Simulation, ax: Axes | None = None) -> Axes:
     ends = np.vstack([x[i] + r[i, None] * out, x[j] - r[j, None] * out])
     lines = np.stack([np.vstack([x[i], x[j]]), ends], axis=1)
     strong = np.quantile(contacts.force, 0.99)
-    width = 120.0 / np.sqrt(len(particles)) * np.clip(contacts.force / strong, 0.02, 1.5)
+    extent = ax.get_window_extent()
+    points = 72.0 / ax.figure.dpi * min(extent.width / box.width, extent.height / box.height)
+    width = 0.5 * particles.mean_diameter * points * np.clip(contacts.force / strong, 0.02, 1.2)
     ax.add_collection(
         LineCollection(list(lines), colors=MESH, linewidths=np.tile(width, 2), capstyle="round")
     )
@@ -148,11 +171,11 @@ def speed(
     colorbar : bool
         Draw the scale beside the axes.
     """
-    ax = _frame(box, ax)
+    ax = frame(box, ax)
     points, triangles, velocity = sample(flow, axis)
     mean = flow.tensor[axis, axis] / flow.scale**2
     corners = points[triangles]
-    drawn, which = _tiled_triangles(box, corners)
+    drawn, which = tiled_triangles(box, corners)
     value = (np.hypot(*velocity.T) / mean)[triangles[which]].ravel()
     colours = ax.tripcolor(
         drawn,
@@ -186,14 +209,8 @@ def sample(flow: Resolved | Mesoscale, axis: int = 0) -> tuple[Float, NDArray[np
     velocity : (p, 2)
         mu u / (G scale^2), as `flow.velocity`.
     """
-    points, triangles, at = _cut(flow.mesh)
-    velocity = np.asarray(flow.velocity[axis](at)).reshape(-1, 2)
-    return points * flow.scale, triangles, velocity
-
-
-def _cut(mesh: Any, finest: int = FINEST) -> tuple[Float, NDArray[np.int64], Any]:
-    """Points and straight triangles of a mesh, and where in the mesh the points are."""
-    parts = int(np.clip(np.sqrt(finest / mesh.ne), 1, 8))
+    mesh = flow.mesh
+    parts = int(np.clip(np.sqrt(FINEST / mesh.ne), 1, 8))
     i, j = np.meshgrid(np.arange(parts + 1), np.arange(parts + 1), indexing="ij")
     inside = i + j <= parts
     number = np.full(i.shape, -1)
@@ -209,7 +226,59 @@ def _cut(mesh: Any, finest: int = FINEST) -> tuple[Float, NDArray[np.int64], Any
     at = mesh.MapToAllElements(rule, VOL)
     points = np.column_stack([np.ravel(c(at)) for c in (x, y)])
     triangles = np.arange(mesh.ne)[:, None, None] * len(local) + pattern
-    return points, triangles.reshape(-1, 3), at
+    velocity = np.asarray(flow.velocity[axis](at)).reshape(-1, 2)
+    return points * flow.scale, triangles.reshape(-1, 3), velocity
+
+
+def field(
+    box: Box,
+    flow: Sample,
+    ax: Axes | None = None,
+    *,
+    show: str = "speed",
+    top: float | None = None,
+    colorbar: bool = False,
+) -> Axes:
+    """One field of a flow between moving discs.
+
+    Parameters
+    ----------
+    box : Box
+    flow : Sample
+        ``simulation.flow.sample(cuts)``, or a frame read from a file.
+    ax : matplotlib.axes.Axes, optional
+    show : str
+        "speed" of the fluid between the discs [m/s], dynamic "pressure" [Pa], or "porosity".
+    top : float, optional
+        End of the scale; the largest value but for two in a hundred if not given.
+    colorbar : bool
+        Draw the scale beside the axes.
+
+    Raises
+    ------
+    InputError
+        If `show` is unknown.
+    """
+    if show not in SHOWN:
+        raise InputError(f"plot: show '{show}' must be one of {', '.join(SHOWN)}")
+    ax = frame(box, ax)
+    value = np.hypot(*flow.velocity.T) if show == "speed" else getattr(flow, show)
+    drawn, which = tiled_triangles(box, flow.points[flow.triangles])
+    least = 0.0 if show == "speed" else float(np.quantile(value, 0.02))
+    most = float(np.quantile(value, 0.98)) if top is None else top
+    colours = ax.tripcolor(
+        drawn,
+        value[flow.triangles[which]].ravel(),
+        shading="gouraud",
+        cmap=SPEED,
+        vmin=least,
+        vmax=max(most, least + 1e-12),
+        rasterized=True,
+    )
+    if colorbar:
+        label = f"{show} [{SHOWN[show]}]" if SHOWN[show] else show
+        ax.figure.colorbar(colours, ax=ax, label=label, shrink=0.8)
+    return ax
 
 
 def motion(
@@ -228,14 +297,10 @@ def motion(
     simulation : Simulation
         With fluid.
     ax : matplotlib.axes.Axes, optional
-    show : str
-        "speed" of the fluid between the discs [m/s], or dynamic "pressure" [Pa].
-    top : float, optional
-        End of the scale; the largest value but for two in a hundred if not given.
+    show, top, colorbar
+        As of `field`.
     edges : bool
         Draw the edges of the triangles.
-    colorbar : bool
-        Draw the scale beside the axes.
 
     Raises
     ------
@@ -245,34 +310,14 @@ def motion(
     flow, box = simulation.flow, simulation.model.box
     if flow is None:
         raise InputError("plot.motion draws a simulation with fluid: use plot.discs without")
-    if show not in ("speed", "pressure"):
-        raise InputError(f"plot.motion: show '{show}' must be speed or pressure")
-    ax = _frame(box, ax)
     mesh = flow.mesh
     cuts = int(np.clip(np.sqrt(FINEST_FRAME / len(mesh.triangles)), 1, 8))
-    points, triangles, velocity, pressure, _ = flow.sample(cuts)
-    value = np.hypot(*velocity.T) if show == "speed" else pressure
-    drawn, which = _tiled_triangles(box, points[triangles])
-    least = 0.0 if show == "speed" else float(np.quantile(value, 0.02))
-    most = float(np.quantile(value, 0.98)) if top is None else top
-    colours = ax.tripcolor(
-        drawn,
-        value[triangles[which]].ravel(),
-        shading="gouraud",
-        cmap=SPEED,
-        vmin=least,
-        vmax=max(most, least + 1e-12),
-        rasterized=True,
-    )
+    ax = field(box, flow.sample(cuts), ax, show=show, top=top, colorbar=colorbar)
     if edges:
         corners = mesh.points[mesh.triangles] + mesh.shifts * box.size
-        rings, _ = _tiled_triangles(box, corners)
+        rings, _ = tiled_triangles(box, corners)
         ax.triplot(rings, color="white", lw=min(0.6, 8.0 / np.sqrt(len(corners))))
-    discs(box, simulation.particles, ax)
-    if colorbar:
-        label = "speed [m/s]" if show == "speed" else "pressure [Pa]"
-        ax.figure.colorbar(colours, ax=ax, label=label, shrink=0.8)
-    return ax
+    return discs(box, simulation.particles, ax)
 
 
 @dataclass
@@ -293,7 +338,7 @@ class Film:
     show: str = "speed"
     top: float | None = None
     edges: bool = False
-    frames: list[Image.Image] = field(default_factory=list)
+    frames: list[Image.Image] = attribute(default_factory=list)
 
     def __call__(self, simulation: Simulation) -> None:
         """Add a frame, of an even number of pixels each way, as encoders want."""
@@ -362,6 +407,37 @@ class Film:
         return path
 
 
+def histories(table: Dataset, *names: str, ax: Axes | None = None) -> Axes:
+    """Variables of one unit over time.
+
+    Parameters
+    ----------
+    table : xarray.Dataset
+        Of `history.table`.
+    *names : str
+        Of variables of the table; those that it lacks are left out.
+    ax : matplotlib.axes.Axes, optional
+    """
+    ax = plt.subplots()[1] if ax is None else ax
+    shown = [table[name] for name in names if name in table]
+    for values in shown:
+        ax.plot(table["t"], values, label=str(values.name).replace("_", " "), lw=1.4)
+    unit = readable(shown[0].attrs.get("units", "1")) if shown else ""
+    ax.set(xlabel="time [s]", xmargin=0.0)
+    if len(shown) > 1:
+        ax.legend(frameon=False)
+        ax.set_ylabel(unit and f"[{unit}]")
+    elif shown:
+        ax.set_ylabel(str(shown[0].name).replace("_", " ") + (unit and f" [{unit}]"))
+    ax.spines[["top", "right"]].set_visible(False)
+    return ax
+
+
+def readable(unit: str) -> str:
+    """A unit of a table as people write it: J/m for "J m-1", nothing for "1"."""
+    return "" if unit == "1" else re.sub(r" (\w+)-1", r"/\1", unit)
+
+
 def bars(results: Sequence[Permeability], ax: Axes | None = None) -> Axes:
     """K/d2 by every method, with its estimated error.
 
@@ -419,76 +495,17 @@ def overview(box: Box, particles: Particles, results: Sequence[Permeability]) ->
     return figure
 
 
-def save(figure: Figure, path: Path) -> None:
-    """Write a figure as a PNG file of 256 colours, a third of the size, and close it."""
-    full = BytesIO()
-    figure.savefig(full, dpi=110, format="png")
-    plt.close(figure)
-    Image.open(full).convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE).save(
-        path, optimize=True
-    )
-
-
-def _frame(box: Box, ax: Axes | None) -> Axes:
-    """Axes that show the box in metres."""
-    ax = plt.subplots()[1] if ax is None else ax
-    ax.set(xlim=(0.0, box.width), ylim=(0.0, box.height), aspect="equal")
-    for side in (ax.xaxis, ax.yaxis):
-        side.set_major_formatter(EngFormatter(unit="m", sep=" "))
-        side.set_major_locator(MaxNLocator(3))
-    return ax
-
-
-def _tiled_triangles(box: Box, corners: Float) -> tuple[Triangles, NDArray[np.int64]]:
-    """Triangles (t, 3, 2), each on its own, with their periodic images, and whose they are."""
-    centre = corners.mean(axis=1)
-    place, _, which = _tiled(box, centre, np.abs(corners - centre[:, None]).max(axis=(1, 2)))
-    drawn = (corners[which] + (place - centre[which])[:, None]).reshape(-1, 2)
-    return Triangles(*drawn.T, np.arange(len(drawn)).reshape(-1, 3)), which
-
-
-def _images(box: Box, centre: Float, reach: Float) -> tuple[Float, Float]:
-    """Centres of all images that reach into the box, and twice their reach [m]."""
-    centre, reach, _ = _tiled(box, centre, reach)
-    return centre, 2.0 * reach
-
-
-def _tiled(box: Box, centre: Float, reach: Float) -> tuple[Float, Float, NDArray[np.int64]]:
-    """Images of what lies within `reach` of `centre` that touch the box, and whose they are.
-
-    Parameters
-    ----------
-    box : Box
-    centre : (n, 2)
-    reach : (n,)
-
-    Returns
-    -------
-    centre : (m, 2)
-    reach : (m,)
-    which : (m,)
-        Index into the given ones.
-    """
-    shifts = np.zeros((1, 2))
-    if box.periodic:
-        low = -np.ceil((centre + reach[:, None]).max(axis=0) / box.size)
-        high = np.ceil((box.size - (centre - reach[:, None]).min(axis=0)) / box.size)
-        steps = [np.arange(a, b + 1) for a, b in zip(low, high, strict=True)]
-        shifts = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 2)
-    place = centre + (shifts * box.size)[:, None]
-    near = ((place > -reach[:, None]) & (place < box.size + reach[:, None])).all(axis=-1)
-    which = np.nonzero(near)[1]
-    return place[near], reach[which], which
-
-
 __all__ = [
     "Film",
     "bars",
     "chains",
     "discs",
+    "field",
+    "histories",
     "mesh",
     "motion",
     "overview",
+    "readable",
     "sample",
     "save",
     "speed",

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable, Mapping, Sequence
-from math import isfinite
 from pathlib import Path
 from shutil import rmtree
 from tempfile import mkdtemp
@@ -17,6 +16,8 @@ from grainmesh.errors import InputError
 from grainmesh.permeability import Permeability
 
 Writer = Callable[[Path], None]
+#: What all results of one box have in common.
+SHARED = ("porosity", "n", "diameter", "gap")
 
 
 def as_dict(results: Sequence[Permeability]) -> dict[str, Any]:
@@ -28,33 +29,15 @@ def as_dict(results: Sequence[Permeability]) -> dict[str, Any]:
         At least one.
     """
 
-    def number(value: float) -> float | None:
-        return float(value) if isfinite(value) else None
-
-    return {
-        "porosity": results[0].porosity,
-        "n": results[0].n,
-        "diameter": results[0].diameter,
-        "gap": number(results[0].gap),
-        "results": [
-            {
-                "method": r.method,
-                "tensor": [[number(v) for v in row] for row in r.tensor.tolist()],
-                "normalised": number(r.normalised),
-                "dofs": r.dofs,
-                "seconds": r.seconds,
-                "error": number(r.error),
-                "notes": list(r.notes),
-            }
-            for r in results
-        ],
-    }
+    tables = [result.to_dict() for result in results]
+    own = [{key: table[key] for key in table if key not in SHARED} for table in tables]
+    return {key: tables[0][key] for key in SHARED} | {"results": own}
 
 
 def rows(results: Sequence[Permeability]) -> list[dict[str, Any]]:
     """The same as one flat row a method, for a CSV file; K in m2."""
     table = as_dict(results)
-    shared = {key: table[key] for key in ("porosity", "n", "diameter", "gap")}
+    shared = {key: table[key] for key in SHARED}
     flat = []
     for result in table["results"]:
         (xx, xy), (yx, yy) = result.pop("tensor")

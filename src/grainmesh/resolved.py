@@ -40,6 +40,7 @@ from grainmesh.domain import Box
 from grainmesh.errors import InputError
 from grainmesh.holes import pore_mesh
 from grainmesh.particles import Particles, settle
+from grainmesh.plain import plain
 from grainmesh.saddle import SaddleFactor, threads
 
 Float = NDArray[np.float64]
@@ -92,6 +93,19 @@ class Resolved:
     mesh: Any
     velocity: tuple[Any, Any]
     scale: float
+
+    def __repr__(self) -> str:
+        (xx, _), (_, yy) = self.tensor
+        return (
+            f"Resolved: Kxx = {xx:.4g} m², Kyy = {yy:.4g} m² ± {100 * self.error:.2g} %, "
+            f"{self.force.shape[1]} discs, order {self.order}, {self.dofs} unknowns"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """As plain numbers, ready for JSON, without the fields on the mesh."""
+        names = ("tensor", "force", "error", "order", "dofs", "closed")
+        found: dict[str, Any] = plain({name: getattr(self, name) for name in names})
+        return found
 
 
 def solve(

@@ -11,6 +11,7 @@ module is in the order of the user.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from math import ceil, isfinite
 from pathlib import Path
@@ -60,6 +61,7 @@ from grainmesh.motion import (
 )  # fmt: skip
 from grainmesh.pairs import Memory, Near
 from grainmesh.particles import Particles
+from grainmesh.plain import plain
 from grainmesh.progress import bar
 from grainmesh.start import (
     FARTHEST,
@@ -82,7 +84,7 @@ LASTS, THINNEST = 150, 0.01
 #: Steps after which a copy of the state is kept, for the case that the next ones fail.
 CHUNK = 1000
 #: What a checkpoint holds besides lists and mesh.
-NUMBERS = ("step", "dt", "history", "upkeeps", "sorted", "halved")
+NUMBERS = ("step", "dt", "history", "upkeeps", "sorted", "halved", "about")
 STATE = ("s", "p", "slot", "rank", "moved", "seen", "books", "density")
 
 
@@ -109,6 +111,8 @@ class Simulation:
         Steps done, step [s] and time [s].
     history : list of dict
         Rows of `measure`, added by `run`.
+    about : dict
+        What else a checkpoint is to keep, as JSON can hold it.
     flow : Coupling or None
         The fluid: fields, forces on particles, and mesh.
     halved : int
@@ -140,6 +144,7 @@ class Simulation:
         self.step = 0
         self.dt = step_of(model, particles, held)
         self.history: list[dict[str, float]] = []
+        self.about: dict[str, Any] = {}
         self.seconds = {"steps": 0.0, "upkeep": 0.0}
         self.upkeeps = self.sorted = 0
         refuse_overlap(model, particles, held)
@@ -207,6 +212,20 @@ class Simulation:
 
     def __len__(self) -> int:
         return len(self._s)
+
+    def __repr__(self) -> str:
+        with_fluid = "" if self.flow is None else " in a fluid"
+        top = float((self._s[:, Y] + self._s[:, R]).max())
+        return (
+            f"Simulation: t = {self.t:.6g} s, step {self.step} of {self.dt:.3g} s, {len(self)} "
+            f"particles{with_fluid}, {len(self.contacts)} contacts, height {top:.4g} m, kinetic "
+            f"energy {self.energies['kinetic']:.4g} J/m"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """`measure` as plain numbers, ready for JSON; None for what is not finite."""
+        found: dict[str, Any] = plain(self.measure())
+        return found
 
     @property
     def ids(self) -> Int:
@@ -390,7 +409,7 @@ class Simulation:
         until: float,
         every: float | None = None,
         save: str | Path | None = None,
-        progress: bool = False,
+        progress: bool | Callable[[int], None] = False,
         observe: Callable[[Simulation], None] | None = None,
     ) -> Simulation:
         """Advance to a time.
@@ -405,8 +424,9 @@ class Simulation:
             `observe` is called and, if `save` is given, the state is written; else only at the end.
         save : path, optional
             Folder for ``checkpoint.h5``, from which `resume` goes on.
-        progress : bool
-            Show time, step and the time still needed on stderr.
+        progress : bool or callable
+            Show time, step and the time still needed on stderr; or call this with the step whenever
+            the state is whole: what it raises ends the run there.
         observe : callable, optional
             Called with this simulation.
 
@@ -430,7 +450,8 @@ class Simulation:
         if save and self.step < last:  # a folder that cannot be written is not found out too late
             self.save(save)
         mark = self._mark(every, last)
-        with bar(progress, self.step, last, self.dt) as tell:
+        shown = nullcontext(progress) if callable(progress) else bar(self, last, progress)
+        with shown as tell:
             try:
                 while self.step < last:
                     self._advance(mark - self.step, tell)
@@ -882,7 +903,7 @@ def resume(
             held = {key[5:]: array for key, array in arrays.items() if key.startswith("flow/")}
             about = model.box, model.fluid, model.gravity, simulation._discs()
             simulation.flow = Coupling.resumed(*about, numbers["flow"], held)
-    except (KeyError, TypeError) as fault:
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as fault:
         raise InputError(f"{folder}: the checkpoint is incomplete ({fault})") from None
     return simulation
 

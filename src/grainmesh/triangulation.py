@@ -89,6 +89,12 @@ class Triangulation:
         for array in (self.points, self.triangles, self.shifts):
             array.setflags(write=False)
 
+    def __repr__(self) -> str:
+        return (
+            f"Triangulation: {len(self.triangles)} triangles of {self.n} particles and "
+            f"{len(self.points) - self.n} nodes on walls"
+        )
+
     @property
     def n(self) -> int:
         """Number of particles."""

@@ -7,13 +7,16 @@ from dataclasses import dataclass
 from functools import cached_property
 from importlib.resources import files
 from math import pi, sqrt
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline
 
 from grainmesh.closures.law import Float, Law, check
 from grainmesh.errors import InputError
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 
 def _dilute_square(phi: Float) -> Float:
@@ -51,6 +54,8 @@ class _Lattice:
     @cached_property
     def _table(self) -> tuple[float, CubicSpline]:
         # log(λ/lubrication) is smooth in s = √(φ/φ_max), and 0 at s = 1.
+        from scipy.interpolate import CubicSpline  # late: a tenth of a second
+
         table = files("grainmesh").joinpath("data/lattice_permeability.csv").read_text("utf-8")
         lines = [line for line in table.splitlines() if not line.startswith("#")]
         rows = np.genfromtxt(lines, delimiter=",", names=True)
