@@ -52,7 +52,7 @@ from grainmesh import integrals
 from grainmesh.drag import Bed
 from grainmesh.errors import RunError
 from grainmesh.fields import LEAST_POROSITY, Discs, Fields, Kernel
-from grainmesh.medium import Inflow
+from grainmesh.medium import Inflow, Outlet
 
 Float = NDArray[np.float64]
 
@@ -212,7 +212,11 @@ class Coupling(Fields):
         clock("rest")
         op.assemble()
         clock("matrix")
-        residual = self._linear(f, c / dt * fluid.density)
+        h = np.sqrt(self.box.area / len(op.area))
+        resist = fluid.viscosity / h**2 + float(b.sum()) / self.box.area
+        unit = h * (c / dt * fluid.density + resist)
+        floating = self.box.periodic or not fluid.names(Outlet)
+        residual = self.solver.solve(op, new, f, unit, fluid.tolerance, floating)
         clock("solve")
         self.du = op.u - was
         self.extra = residual[: op.split].reshape(-1, 2) * dt / c
@@ -261,9 +265,12 @@ class Coupling(Fields):
         b = fluid.drag.coefficient(bed)
         if not fluid.drag.undisturbed:
             return b
-        old = self._factor is None or self.time > 1.2 * self.stirring_since
+        # Until then it has grown, or each point has got other neighbours.
+        old = self.time > 1.2 * self.stirring_since
+        old |= self.mesh.flips > self.stirring_flips + len(self.mesh.points)
         if len(self.mesh.points) < FINE or old:
-            self.mobility, self.stirring_since = self._mobility(), self.time
+            self.mobility = self._mobility()
+            self.stirring_since, self.stirring_flips = self.time, self.mesh.flips
         share = b * self.mobility
         if share.max() > 0.8:
             raise RunError(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -14,11 +14,11 @@ from grainmesh.carry import Finder, Keys, Topology, Transfer, along_edge
 from grainmesh.domain import SIDES, Box
 from grainmesh.element import PAIRS, element, lattice
 from grainmesh.errors import InputError, RunError
-from grainmesh.lagged import Apply, Lagged, gmres, mended
 from grainmesh.medium import Fluid, Inflow, NoSlip, Outlet, Slip
 from grainmesh.mesh import flow_mesh
 from grainmesh.navier import Operator
 from grainmesh.nodes import Bounded, bounded
+from grainmesh.solver import Solver
 from grainmesh.spread import Spread, spread
 
 Float = NDArray[np.float64]
@@ -30,16 +30,12 @@ Arrays = dict[str, NDArray[Any]]
 LEAST_POROSITY = 0.02
 #: Most nodes in open places.
 MANY = 1e6
-#: Iterations at most, and how many of them a new factor costs.
-MOST, FACTOR = 60, 12.0
 #: What a checkpoint holds besides the mesh and the unknowns.
-NUMBERS = ("time", "dt", "stirring_since", "iterations", "factors", "spent", "since")
+NUMBERS = ("time", "dt", "stirring_since", "stirring_flips")
 STATE = (
     "velocity", "last", "slid", "force", "around", "curl", "drag", "mobility",
     "extra", "D", "du", "Q",
 )  # fmt: skip
-MATRIX = ("eps", "inertia", "E", "S", "stirred")
-TOPOLOGY = ("points", "triangles", "neighbours", "shifts")
 PARTS = ("mesh", "kernel", "matrix", "solve", "rest")
 
 
@@ -156,10 +152,8 @@ class Fields:
         b [N s/m2].
     Q, D, extra : ndarray
         Momentum of the fluid, its last change, and what the solver left, `navier` Eq. (4).
-    iterations, factors : int
-        Of the linear solver in the last step; factors made so far.
-    spent, since : float, int
-        Iterations, or what costs as much, in the steps with the present factor; their number.
+    solver : Solver
+        Linear solver.
     seconds : dict
         Time spent on each part.
     """
@@ -170,6 +164,7 @@ class Fields:
     time: float
     dt: float
     stirring_since: float
+    stirring_flips: int
     _old: Float
 
     def __init__(
@@ -195,11 +190,9 @@ class Fields:
         self.slid = np.zeros((n, 2))
         self.drag, self.mobility = np.zeros(n), np.zeros(n)
         self.time = self.dt = self.stirring_since = 0.0
-        self.iterations = self.factors = self.since = 0
-        self.spent = 0.0
+        self.stirring_flips = 0
         self.seconds = dict.fromkeys(PARTS, 0.0)
-        self._factor: Lagged | None = None
-        self._recipe: Arrays = {}
+        self.solver = Solver()
         self._build()
         self.kernel = self._kernel()
         self._set_sides()
@@ -207,12 +200,23 @@ class Fields:
         self.extra, self.D, self.du = (np.zeros_like(self.operator.u) for _ in range(3))
         self.Q = self.operator.momentum()
 
+    @property
+    def iterations(self) -> int:
+        """Of the linear solver in the last step."""
+        return self.solver.iterations
+
+    @property
+    def factors(self) -> int:
+        """Made so far by the linear solver."""
+        return self.solver.factors
+
     # --- the state ----------------------------------------------------------------------------
 
     def numbers(self) -> dict[str, Any]:
         """What goes into a checkpoint beside `arrays`."""
         mesh = {key: value for key, value in vars(self.mesh).items() if isinstance(value, int)}
-        return {"mesh": mesh} | {name: getattr(self, name) for name in NUMBERS}
+        found = {name: getattr(self, name) for name in NUMBERS}
+        return {"mesh": mesh, "solver": self.solver.numbers()} | found
 
     def arrays(self) -> Arrays:
         """The state as arrays by name."""
@@ -220,7 +224,7 @@ class Fields:
         for key, value in vars(self.mesh).items():
             if isinstance(value, np.ndarray):
                 found[f"mesh/{key}"] = value
-        return found | {f"factor/{key}": value for key, value in self._recipe.items()}
+        return found | {f"factor/{key}": value for key, value in self.solver.recipe.items()}
 
     @classmethod
     def resumed(
@@ -242,21 +246,12 @@ class Fields:
         for name in STATE:
             setattr(self, name, arrays[name])
         self.seconds = dict.fromkeys(PARTS, 0.0)
-        self._factor, self._recipe = None, {}
-        recipe = {k[7:]: v for k, v in arrays.items() if k.startswith("factor/")}
-        if recipe:
-            topology: dict[str, Any] = {key: recipe[key] for key in TOPOLOGY}
-            now, self.mesh = self.mesh, replace(self.mesh, **topology)
-            self._build()
-            self.operator.load(**{name: recipe[name] for name in MATRIX})
-            self.operator.assemble()
-            self._make_factor()
-            self.factors -= 1
-            self.mesh = now
         self._build()
         self.kernel = self._kernel()
         self._load_porosity()
         self.operator.x = arrays["x"]
+        recipe = {k[7:]: v for k, v in arrays.items() if k.startswith("factor/")}
+        self.solver = Solver.resumed(numbers["solver"], recipe, self.operator)
         return self
 
     def measure(self) -> dict[str, float]:
@@ -272,7 +267,7 @@ class Fields:
             "slip": float(np.hypot(*(self.around - self.velocity).T).mean()),
             "flow step": self.dt,
             "added viscosity": float(op.stirred.max()) / self.fluid.viscosity,
-            "iterations": self.iterations,
+            "iterations": self.solver.iterations,
         }
         for number, side in enumerate(() if self.box.periodic else SIDES):
             found[f"pressure {side}"] = self.pressure_at(side) / self.box.size[1 - number // 2]
@@ -373,12 +368,12 @@ class Fields:
         """
         self.refuse_other(fluid)
         self.fluid, self.gravity = fluid, np.array(gravity)
-        self._factor, self._recipe = None, {}
+        self.solver.forget()
         self._remesh()
 
     def back(self, arrays: Arrays, numbers: dict[str, Any]) -> None:
         """Take back a step that failed, to the state that these were of."""
-        for name in ("time", "dt", "stirring_since"):
+        for name in NUMBERS:
             setattr(self, name, numbers[name])
         for name in STATE:
             setattr(self, name, arrays[name])
@@ -387,87 +382,6 @@ class Fields:
         self.operator.at(self._old)
         self.kernel = self._kernel()
         self._load_porosity()
-
-    # --- linear solver ------------------------------------------------------------------------
-
-    def _linear(self, f: Float, inertia: float) -> Float:
-        """Solve for the unknowns of the operator; returns what is left of f, 0 where not free."""
-        op, sought = self.operator, self.operator.sought
-        h = np.sqrt(self.box.area / len(self.mesh.triangles))
-        # Pressures are counted in a unit in which both kinds of equations weigh alike.
-        unit = h * (inertia + self.fluid.viscosity / h**2 + float(self.drag.sum()) / self.box.area)
-        scale = np.where(np.arange(len(sought)) < op.split, 1.0, unit) * sought
-        f, x = op.condensed(f), op.x
-        r = scale * (f - op.apply(x))
-        size = max(float(np.linalg.norm(scale * f)), float(np.linalg.norm(r)))
-        goal = max(self.fluid.tolerance * size, 1e-300)
-        for attempt in range(2):
-            fresh = self._factor is None or attempt == 1
-            if fresh:
-                self._make_factor()
-            first, share = self._preconditioner()
-            apply, precondition = _scaled(op.apply, self._levelled(first), scale)
-            delta, self.iterations, left = gmres(apply, precondition, r, goal, MOST)
-            if left <= goal:
-                break
-        else:
-            raise RunError(
-                f"the linear solver does not converge at t = {self.time:g} s: residual "
-                f"{left / size:.1e} after {MOST} iterations, with a step of the flow that is "
-                "perhaps too long (Fluid(dt=...))"
-            )
-        # A new factor as soon as a step with the old one costs more than steps did on average.
-        effort = self.iterations + FACTOR * share
-        if fresh:
-            self.spent, self.since = FACTOR, 0
-        self.spent, self.since = self.spent + effort, self.since + 1
-        if effort * self.since > self.spent:
-            self._factor, self._recipe = None, {}
-        x = self._levelled(lambda x: x)(x + scale * delta)
-        op.completed(f, x)
-        op.x = x
-        residual = f - op.apply(x)
-        residual[~sought] = 0.0
-        return residual
-
-    def _levelled(self, solve: Apply) -> Apply:
-        """The same with a mean pressure of 0, where nothing else gives it a level."""
-        if not self.box.periodic and self.fluid.names(Outlet):
-            return solve
-        level = self.operator.split + np.flatnonzero(self.operator.topology.used)
-
-        def levelled(f: Float) -> Float:
-            x = solve(f)
-            x[level] -= x[level].mean()
-            return x
-
-        return levelled
-
-    def _make_factor(self) -> None:
-        """A factor of the matrix at hand, and all that is needed to make it again."""
-        op, mesh = self.operator, self.mesh
-        self._factor, self._factor_faces = op.factor(op.names), op.topology.faces
-        self.factors += 1
-        self._recipe = {key: np.array(getattr(mesh, key)) for key in TOPOLOGY}
-        self._recipe |= {key: getattr(op, key).copy() for key in MATRIX}
-
-    def _preconditioner(self) -> tuple[Apply, float]:
-        """The factor at hand, mended on triangles that have come since; their share of the mesh."""
-        op, on = self.operator, self.operator.topology
-        assert self._factor is not None
-        first = self._factor.preconditioner(np.where(op.sought, op.names, -1))
-        fresh = ~np.isin(on.numbers, self._factor_faces)
-        if not fresh.any():
-            return first, 0.0
-        near = np.zeros(on.count, dtype=bool)
-        near[on.corners[fresh]] = True
-        inside = np.zeros_like(op.free)
-        inside[op.rows[near[on.corners].any(axis=1)]] = True
-        inside &= op.sought
-        number = np.arange(len(inside))
-        patch = op.factor(number, inside)
-        second = patch.preconditioner(np.where(inside, number, -1))
-        return mended(first, op.apply, second), float(inside.sum() / op.sought.sum())
 
     # --- the mesh -----------------------------------------------------------------------------
 
@@ -642,12 +556,6 @@ def _on(keys: Keys, edges: Int) -> Int:
     own = 3 + k[:, None] * per_edge + np.arange(per_edge)
     found: Int = keys.rows[t[:, None], np.concatenate([PAIRS[k], own], axis=1)]
     return found
-
-
-def _scaled(apply: Apply, precondition: Apply, scale: Float) -> tuple[Apply, Apply]:
-    """D K D and D⁻¹ P D⁻¹, with 0 where the scale D is."""
-    back = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0.0)
-    return lambda z: scale * apply(scale * z), lambda r: back * precondition(back * r)
 
 
 def _made_up(old: Topology, new: Topology, missing: Float, changed: Mask, weight: Float) -> Float:

@@ -1,0 +1,182 @@
+"""The linear solver of the flow: GMRES with a factor that is kept while it pays.
+
+A factor costs as much as `FACTOR` iterations. It is made anew as soon as a step with the old one,
+mended where the mesh has changed (`lagged`, Eq. 1), costs more than steps with it did on average,
+its own cost among them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from grainmesh.errors import RunError
+from grainmesh.lagged import Apply, Lagged, gmres, mended
+from grainmesh.navier import Operator
+
+Float = NDArray[np.float64]
+Arrays = dict[str, NDArray[Any]]
+
+#: Iterations at most, and how many of them a new factor costs.
+MOST, FACTOR = 60, 12.0
+#: What a checkpoint holds besides the factor.
+NUMBERS = ("iterations", "factors", "spent", "since")
+FIELDS = ("free", "eps", "inertia", "E", "S", "stirred")
+
+
+class Solver:
+    """Solves for the unknowns of one operator after the other.
+
+    Attributes
+    ----------
+    iterations : int
+        In the last step.
+    factors : int
+        Made so far.
+    spent, since : float, int
+        Iterations, or what costs as much, in the steps with the present factor; their number.
+    recipe : dict of arrays
+        All that is needed to make the factor again; empty if there is none.
+    """
+
+    def __init__(self) -> None:
+        self.iterations = self.factors = self.since = 0
+        self.spent = 0.0
+        self.forget()
+
+    def forget(self) -> None:
+        """Make a new factor in the next step."""
+        self._factor: Lagged | None = None
+        self.recipe: Arrays = {}
+
+    def numbers(self) -> dict[str, Any]:
+        """What goes into a checkpoint beside `recipe`."""
+        return {name: getattr(self, name) for name in NUMBERS}
+
+    @classmethod
+    def resumed(cls, numbers: dict[str, Any], recipe: Arrays, now: Operator) -> Self:
+        """The solver that these were of; `now` is an operator of the same flow."""
+        self = cls()
+        if recipe:
+            parts: dict[str, Any] = {key: recipe[key] for key in ("triangles", "shifts")}
+            on = replace(now.topology, **parts)
+            op = Operator(on, recipe["points"], now.order, now.viscosity, now.density)
+            op.load(**{name: recipe[name] for name in FIELDS})
+            op.assemble()
+            self._make(op, recipe["points"])
+        for name in NUMBERS:
+            setattr(self, name, numbers[name])
+        return self
+
+    def solve(
+        self, op: Operator, points: Float, f: Float, unit: float, tolerance: float, floating: bool
+    ) -> Float:
+        """Solve for the unknowns of an operator, from those that it has.
+
+        Parameters
+        ----------
+        op : Operator
+            Assembled.
+        points : (m, 2)
+            Where its points are [m].
+        f : (N,)
+            Right-hand side.
+        unit : float
+            In which pressures are counted, so that both kinds of equations weigh alike.
+        tolerance : float
+            Residual over right-hand side.
+        floating : bool
+            Nothing else gives the pressure a level: its mean is made 0.
+
+        Returns
+        -------
+        (N,)
+            What is left of f, 0 where nothing is sought.
+
+        Raises
+        ------
+        RunError
+            If it does not converge.
+        """
+        sought = op.sought
+        scale = np.where(np.arange(len(sought)) < op.split, 1.0, unit) * sought
+        level = op.split + np.flatnonzero(op.topology.used) if floating else np.empty(0, np.int64)
+        f, x = op.condensed(f), op.x
+        r = scale * (f - op.apply(x))
+        size = max(float(np.linalg.norm(scale * f)), float(np.linalg.norm(r)))
+        goal = max(tolerance * size, 1e-300)
+        for attempt in range(2):
+            fresh = self._factor is None or attempt == 1
+            if fresh:
+                self._make(op, points)
+            first, share = self._preconditioner(op)
+            apply, precondition = _scaled(op.apply, _levelled(first, level), scale)
+            delta, self.iterations, left = gmres(apply, precondition, r, goal, MOST)
+            if left <= goal:
+                break
+        else:
+            raise RunError(
+                f"the linear solver does not converge: residual {left / size:.1e} after {MOST} "
+                "iterations, with a step of the flow that is perhaps too long (Fluid(dt=...))"
+            )
+        effort = self.iterations + FACTOR * share
+        if fresh:
+            self.spent, self.since = FACTOR, 0
+        self.spent, self.since = self.spent + effort, self.since + 1
+        if effort * self.since > self.spent:
+            self.forget()
+        x = _levelled(lambda x: x, level)(x + scale * delta)
+        op.completed(f, x)
+        op.x = x
+        residual = f - op.apply(x)
+        residual[~sought] = 0.0
+        return residual
+
+    def _make(self, op: Operator, points: Float) -> None:
+        on = op.topology
+        self._factor, self._on = op.factor(op.names), on
+        self.factors += 1
+        self.recipe = {"triangles": on.triangles, "shifts": on.shifts, "points": points.copy()}
+        self.recipe |= {key: getattr(op, key).copy() for key in FIELDS}
+
+    def _preconditioner(self, op: Operator) -> tuple[Apply, float]:
+        """The factor at hand, mended on triangles that have come since; their share of all."""
+        on, sought, names = op.topology, op.sought, op.names
+        assert self._factor is not None
+        first = self._factor.preconditioner(np.where(sought, names, -1))
+        fresh = ~np.isin(on.numbers, self._on.faces)
+        if not fresh.any():
+            return first, 0.0
+        near = np.zeros(on.count, dtype=bool)
+        near[on.corners[fresh]] = True
+        inside = np.zeros_like(sought)
+        inside[op.rows[near[on.corners].any(axis=1)]] = True  # and one ring around them
+        inside &= sought
+        number = np.arange(len(inside))
+        patch = op.factor(number, inside).preconditioner(np.where(inside, number, -1))
+        return mended(first, op.apply, patch), float(inside.sum() / sought.sum())
+
+
+def _levelled(solve: Apply, level: NDArray[np.int64]) -> Apply:
+    """The same with a mean of 0 over some unknowns, if there are any."""
+    if len(level) == 0:
+        return solve
+
+    def levelled(f: Float) -> Float:
+        x = solve(f)
+        x[level] -= x[level].mean()
+        return x
+
+    return levelled
+
+
+def _scaled(apply: Apply, precondition: Apply, scale: Float) -> tuple[Apply, Apply]:
+    """D K D and D⁻¹ P D⁻¹, with 0 where the scale D is."""
+    back = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0.0)
+    return lambda z: scale * apply(scale * z), lambda r: back * precondition(back * r)
+
+
+__all__ = ["Solver"]
