@@ -1,12 +1,12 @@
 """From particle positions to permeability, by three methods.
 
-=================  ==============================================================================
+================== ==============================================================================
 ``resolved``       Stokes flow around the discs as holes (`resolved`): the truth, to a tolerance.
 ``mesoscale``      Porosity-scaled Stokes flow on the Delaunay mesh of the centres (`fluid`), with
                    a drag law: a few unknowns per particle.
 ``microstructure`` Eq. (4): lambda = C γ^2.5 (1 - exp(-3 γ)/2) from the gaps γ of the triangulation
                    (or another law of `closures`): milliseconds.
-=================  ==============================================================================
+================== ==============================================================================
 """
 
 from __future__ import annotations
