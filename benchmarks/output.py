@@ -41,12 +41,14 @@ def main(out: Path) -> None:
         (run, plan), folder = make(), out / make.__name__
         record(run, folder, **plan)
         about = json.loads((folder / ENVIRONMENT).read_text())
+        seconds = about["seconds"]
+        writing = sum(seconds[name] for name in seconds if name.startswith("writing"))
         frames = len(vtkhdf.times(folder / vtkhdf.FLOW))
         files = (vtkhdf.FLOW, frames), (vtkhdf.DISCS, frames), (NAME, 1), (history.NAME, 1)
         sizes = [(folder / name).stat().st_size / many / 1e3 for name, many in files]
         print(
             f"{make.__name__:9} {len(run):6} {about['elapsed']:7.1f} "
-            f"{100 * about['seconds']['writing'] / about['elapsed']:6.1f} %  "
+            f"{100 * writing / about['elapsed']:6.1f} %  "
             + ", ".join(f"{size:.0f}" for size in sizes)
         )
 

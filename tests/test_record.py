@@ -93,7 +93,9 @@ def test_a_run_leaves_its_files(undisturbed, file):
     assert about["versions"] == checkpoint.versions()
     assert about["plan"]["until"] == 0.03
     assert about["case"] == str(file)
-    assert 0.0 < about["seconds"]["writing"] < sum(about["seconds"].values()) < about["elapsed"]
+    assert (
+        0.0 < about["seconds"]["writing frames"] < sum(about["seconds"].values()) < about["elapsed"]
+    )
     log = (undisturbed / "run.log").read_text().splitlines()
     assert "started at t = 0 s, 30 particles" in log[0]
     assert "iterations, volume" in log[1]

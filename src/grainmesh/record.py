@@ -38,7 +38,7 @@ from grainmesh.simulation import Simulation
 CASE, LOG, ENVIRONMENT = "case.toml", "run.log", "environment.json"
 FILES = (CASE, LOG, ENVIRONMENT, checkpoint.NAME, history.NAME, vtkhdf.FLOW, vtkhdf.DISCS)
 #: Most of the time of a run that checkpoints and the history file may take before its end.
-SHARE = {"checkpoint": 0.02, "history": 0.01}
+SHARE = {"checkpoint": 0.01, "history": 0.005}
 #: What they take at first, perhaps [s].
 AT_FIRST = {"checkpoint": 0.02, "history": 0.3}
 
@@ -328,7 +328,7 @@ class _Output:
         self._table()
         flow = self.run.flow
         now = self.run.seconds | (flow.seconds if flow is not None else {})
-        now |= {"writing": sum(self.spent.values())}
+        now |= {f"writing {name}": value for name, value in self.spent.items()}
         total = {name: value + self.before.get(name, 0.0) for name, value in now.items()}
         with _written(self.folder):
             found = _environment_of(self.folder) or _environment(self.plan, "")
