@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/ready
 
-.PHONY: demo test test-all lint bench docs clean
+.PHONY: demo test test-all lint bench docs site clean
 
 demo: $(READY) .venv/kernels
 	$(BIN)/python examples/carbon_fibres.py --out out/demo
@@ -31,8 +31,12 @@ bench: $(READY) .venv/kernels
 	  echo "== $$script"; $(BIN)/python $$script --quick; done
 
 docs: $(READY) .venv/kernels
-	@set -e; for script in $(sort $(wildcard docs/*.py)); do \
+	@set -e; for script in $(sort $(filter-out docs/conf.py,$(wildcard docs/*.py))); do \
 	  echo "== $$script"; $(BIN)/python $$script; done
+
+# The site; runs no example, loads nothing from the network.
+site: $(READY)
+	$(BIN)/python -m sphinx -W --keep-going -q -b html -d out/doctrees docs out/site
 
 clean:
 	rm -rf .venv out build .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache
