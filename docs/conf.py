@@ -46,6 +46,7 @@ sphinx_gallery_conf = {
     "examples_dirs": ["../examples"],
     "gallery_dirs": ["gallery"],
     "plot_gallery": False,  # pictures are made by docs/gallery.py
+    "within_subsection_order": "FileNameSortKey",
     "download_all_examples": False,
     "show_signature": False,
     "remove_config_comments": True,
@@ -81,7 +82,10 @@ def formulas(app, what, name, obj, options, lines):
             if last[0] != " " and not last.endswith("::"):
                 text += ["::", ""]
                 literal = True
-        text.append(line if literal else line.replace("|", "\\|"))
+        if literal:  # the number of a formula comes nearer
+            text.append(re.sub(r" {3,}(\(\d+\))$", r"   \1", line))
+        else:
+            text.append(line.replace("|", "\\|"))
     lines[:] = text
 
 
@@ -107,7 +111,9 @@ def pages():
     folder.mkdir(exist_ok=True)
     names = [m.name for m in pkgutil.iter_modules(grainmesh.__path__) if m.name != "__main__"]
     face = [n for n in grainmesh.__all__ if n in grainmesh._HOME]
-    wanted = {"names": title("Names of the package") + "\n.. automodule:: grainmesh\n   :no-members:\n"}
+    wanted = {
+        "names": title("Names of the package") + "\n.. automodule:: grainmesh\n   :no-members:\n"
+    }
     for name in face:
         kind = "autoclass" if name[0].isupper() else "autofunction"
         wanted["names"] += f"\n.. {kind}:: grainmesh.{name}\n"
@@ -134,7 +140,9 @@ def table(heading, names):
     for name in names:
         first = import_module(f"grainmesh.{name}").__doc__.splitlines()[0]
         lines += [f"   * - :doc:`{name} <{name}>`", f"     - {first}"]
-    return "\n".join([*lines, "", ".. toctree::", "   :hidden:", "", *(f"   {n}" for n in names), ""])
+    return "\n".join(
+        [*lines, "", ".. toctree::", "   :hidden:", "", *(f"   {n}" for n in names), ""]
+    )
 
 
 def title(text):
@@ -145,5 +153,3 @@ def setup(app):
     pages()
     app.connect("autodoc-process-docstring", formulas, priority=400)
     app.add_html_math_renderer("mathml", (visit_inline, None), (visit_block, None))
-
-
