@@ -10,11 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
-from grainmesh.carry import Finder, Keys, Topology, Transfer, along_edge
+from grainmesh import sides
+from grainmesh.carry import Finder, Keys, Topology, Transfer
 from grainmesh.domain import SIDES, Box
-from grainmesh.element import PAIRS, element, lattice
+from grainmesh.element import element, lattice
 from grainmesh.errors import InputError, RunError
-from grainmesh.medium import Fluid, Inflow, NoSlip, Outlet, Slip
+from grainmesh.medium import Fluid, Inflow, Outlet
 from grainmesh.mesh import flow_mesh
 from grainmesh.navier import Operator
 from grainmesh.nodes import Bounded, bounded
@@ -276,12 +277,12 @@ class Fields:
     def pressure_at(self, side: str) -> float:
         """∫p along a side of a box with walls [N/m], without that of the fluid at rest."""
         op = self.operator
-        return float(op.along(self._edges(side), op.p[:, None], op.pressure_keys)[0])
+        return float(op.along(self._side(side), op.p[:, None], op.pressure_keys)[0])
 
     def flux(self, side: str) -> float:
         """Volume of fluid that leaves through a side, per depth and time, ∫ε u·n [m2/s]."""
         op, number = self.operator, SIDES.index(side)
-        found = op.along(self._edges(side), op.u, op.keys, op.eps)
+        found = op.along(self._side(side), op.u, op.keys, op.eps)
         return float(found[number // 2]) * (1.0 if number % 2 else -1.0)
 
     def mean(self) -> Float:
@@ -400,44 +401,17 @@ class Fields:
         on = Topology(self.box, len(mesh.points), mesh.triangles.copy(), mesh.shifts.copy())
         own = Keys(on, element(fluid.order, fluid.order == 1))
         other = Keys(on, element(max(fluid.order - 1, 1)))
-        held, level = np.zeros((own.size, 2), dtype=bool), np.zeros(other.size, dtype=bool)
-        outlets, inlets = [], []
-        self._boundary = {} if self.box.periodic else self._boundary_of(on)
-        for number, (side, edges) in enumerate(self._boundary.items()):
-            kind, axis, rows = fluid.side(side), number // 2, _on(own, edges)
-            if isinstance(kind, Slip):
-                held[rows, axis] = True
-            elif isinstance(kind, Outlet):
-                held[rows, 1 - axis] = True
-                level[_on(other, edges)] = True
-                outlets.append(edges)
-            else:
-                held[rows] = True
-                inlets.append(edges)
-        none = np.empty((0, 2), np.int64)
+        self._edges = sides.edges_of(self.box, on, mesh.points, mesh.neighbours)
         self.operator = Operator(
-            on, mesh.points, fluid.order, fluid.viscosity, fluid.density, held, level,
-            np.concatenate([none, *outlets]), np.concatenate([none, *inlets]),
+            on, mesh.points, fluid.order, fluid.viscosity, fluid.density,
+            *sides.held(fluid, self._edges, own, other),
         )  # fmt: skip
 
-    def _boundary_of(self, on: Topology) -> dict[str, Int]:
-        """Edges of each side: number of a triangle, and which of its edges 01, 02, 12."""
-        mesh, found = self.mesh, {}
-        t, k = np.nonzero(mesh.neighbours < 0)
-        opposite = mesh.triangles[t, k]
-        which = 2 - (on.corners[t] < opposite[:, None]).sum(axis=1)
-        ends = on.corners[t[:, None], PAIRS[which]]
-        for number, side in enumerate(SIDES):
-            axis, end = divmod(number, 2)
-            there = (mesh.points[ends, axis] == end * self.box.size[axis]).all(axis=1)
-            found[side] = np.column_stack([t, which])[there]
-        return found
-
-    def _edges(self, side: str) -> Int:
+    def _side(self, side: str) -> Int:
         """Edges of one side of a box with walls."""
-        if side not in self._boundary:
-            raise InputError(f"side '{side}' must be one of {', '.join(self._boundary) or 'none'}")
-        return self._boundary[side]
+        if side not in self._edges:
+            raise InputError(f"side '{side}' must be one of {', '.join(self._edges) or 'none'}")
+        return self._edges[side]
 
     def _remesh(self) -> None:
         """Carry all fields to the triangulation that `mesh` has become."""
@@ -503,59 +477,22 @@ class Fields:
         """Velocity and pressure that are given at the sides, at the present time."""
         if self.box.periodic:
             return
-        op, fluid = self.operator, self.fluid
-        on, own = op.topology, op.keys
-        given, through = np.zeros_like(op.u), np.zeros_like(op.u)
-        along = np.linspace(0.0, 1.0, fluid.order + 1)[:, None]
-        kinds = sorted(
-            enumerate(map(fluid.side, SIDES)), key=lambda item: isinstance(item[1], NoSlip)
-        )  # at corners walls have the last word
-        for side, kind in kinds:
-            edges = self._boundary[SIDES[side]]
-            ends = on.corners[edges[:, :1], PAIRS[edges[:, 1]]]
-            if isinstance(kind, Outlet):
-                op.p[_on(op.pressure_keys, edges)] = 0.0
-                op.p[ends] = kind.pressure
-                continue
-            if isinstance(kind, Slip):
-                continue
-            a, b = self.mesh.points[ends[:, 0], None], self.mesh.points[ends[:, 1], None]
-            value, volume = (np.zeros((len(ends), fluid.order + 1, 2)) for _ in range(2))
-            if isinstance(kind, NoSlip):
-                value[..., 1 - side // 2] = kind.speed
-            else:
-                place = (1.0 - along) * a + along * b  # (e, k + 1, 2)
-                volume[:] = kind.at(place.reshape(-1, 2), self.time).reshape(value.shape)
-                eps = self.kernel.porosity[ends]
-                value = (
-                    volume
-                    / ((1.0 - along[:, 0]) * eps[:, :1] + along[:, 0] * eps[:, 1:])[..., None]
-                )
-            where = _on(own, edges)
-            given[where] = along_edge(own.element, value)
-            if isinstance(kind, Inflow):  # all of it, though walls hold the fluid at corners
-                through[where] = along_edge(own.element, volume)
-        held = ~op.free[: op.split].reshape(-1, 2)
-        op.u[held] = given[held]
-        self._through = through
-        if fluid.names(Inflow):
-            flux = op.inflow(through)[: on.count]
+        op, fluid, split = self.operator, self.fluid, self.operator.split
+        about = op.keys, op.pressure_keys, self.mesh.points, self.kernel.porosity, self.time
+        u, p, self._through = sides.given(fluid, self._edges, *about)
+        held = ~op.free[:split].reshape(-1, 2)
+        op.u[held] = u[held]
+        if fluid.names(Outlet):
+            op.p[~op.free[split:]] = p[~op.free[split:]]
+        elif fluid.names(Inflow):
+            flux = op.inflow(self._through)[: op.topology.count]
             net, gross = float(flux.sum()), float(np.abs(flux).sum())
-            if not fluid.names(Outlet) and abs(net) > 1e-6 * gross:
+            if abs(net) > 1e-6 * gross:
                 raise InputError(
                     f"fluid: {abs(net):.4g} m2/s flow {'into' if net < 0.0 else 'out of'} the box "
                     "and nothing the other way: give one side an Outlet(), or inflows that add up "
                     "to zero"
                 )
-
-
-def _on(keys: Keys, edges: Int) -> Int:
-    """Unknowns of the two ends and of the edge, for edges (b, 2) of triangles, (b, k + 1)."""
-    per_edge = keys.element.counts[0]
-    t, k = edges.T
-    own = 3 + k[:, None] * per_edge + np.arange(per_edge)
-    found: Int = keys.rows[t[:, None], np.concatenate([PAIRS[k], own], axis=1)]
-    return found
 
 
 def _made_up(old: Topology, new: Topology, missing: Float, changed: Mask, weight: Float) -> Float:
