@@ -50,6 +50,7 @@ sphinx_gallery_conf = {
     "download_all_examples": False,
     "show_signature": False,
     "remove_config_comments": True,
+    "write_computation_times": False,  # that page loads scripts from the network
 }
 
 html_theme = "pydata_sphinx_theme"
