@@ -16,10 +16,11 @@ with R the restriction to their unknowns. Without it each flip costs iterations 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
-from ngsolve import GetNumThreads, SetNumThreads, TaskManager
+from ngsolve import TaskManager
 from ngsolve.la import SparseMatrixd
 from numba import njit
 from numpy.typing import NDArray
@@ -34,7 +35,7 @@ Int = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Apply = Callable[[Float], Float]
 
-#: Factors of more unknowns are for all threads; of fewer, equal input gives equal bits.
+#: Factors of more unknowns are made by all threads, and no two of those equal by round-off.
 MANY = 40_000
 
 
@@ -69,24 +70,11 @@ class Lagged:
         at = np.arange(split, len(kept), dtype=np.int32)
         i, j = np.append(i, at), np.append(j, at)
         values = np.append(values, -PIVOT * own[split:])
-        # The factor of several threads is another one each time, by round-off.
-        self._many, count = len(kept) > MANY, GetNumThreads()
         made = SparseMatrixd.CreateFromCOO(
-            _array(Array_I_S, i),
-            _array(Array_I_S, j),
-            _array(Array_D_S, values),
-            len(kept),
-            len(kept),
+            _array(Array_I_S, i), _array(Array_I_S, j), _array(Array_D_S, values), *2 * [len(kept)]
         )
-        if self._many:
-            with TaskManager():
-                self._inverse = made.Inverse(inverse="sparsecholesky")
-        else:
-            SetNumThreads(1)
-            try:
-                self._inverse = made.Inverse(inverse="sparsecholesky")
-            finally:
-                SetNumThreads(count)
+        with TaskManager() if len(kept) > MANY else nullcontext():
+            self._inverse = made.Inverse(inverse="sparsecholesky")
         self._f, self._x = made.CreateColVector(), made.CreateColVector()
         order = np.argsort(names[kept])
         self._names, self._place = names[kept][order], order
@@ -102,7 +90,7 @@ class Lagged:
             z = np.zeros_like(r)
             f[:] = 0.0
             f[place] = r[known]
-            self._x.data = self._inverse * self._f
+            self._x.data = self._inverse * self._f  # by one thread: memory is what it waits for
             z[known] = x[place]
             return z
 
