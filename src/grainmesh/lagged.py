@@ -16,11 +16,11 @@ with R the restriction to their unknowns. Without it each flip costs iterations 
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import nullcontext
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from ngsolve import TaskManager
+from ngsolve import GetNumThreads, SetNumThreads, TaskManager
 from ngsolve.la import SparseMatrixd
 from numba import njit
 from numpy.typing import NDArray
@@ -73,8 +73,13 @@ class Lagged:
         made = SparseMatrixd.CreateFromCOO(
             _array(Array_I_S, i), _array(Array_I_S, j), _array(Array_D_S, values), *2 * [len(kept)]
         )
-        with TaskManager() if len(kept) > MANY else nullcontext():
-            self._inverse = made.Inverse(inverse="sparsecholesky")
+        many = _threads()
+        SetNumThreads(many if len(kept) > MANY else 1)
+        try:
+            with TaskManager():
+                self._inverse = made.Inverse(inverse="sparsecholesky")
+        finally:
+            SetNumThreads(many)
         self._f, self._x = made.CreateColVector(), made.CreateColVector()
         order = np.argsort(names[kept])
         self._names, self._place = names[kept][order], order
@@ -95,6 +100,13 @@ class Lagged:
             return z
 
         return apply
+
+
+@lru_cache
+def _threads() -> int:
+    """How many threads NGSolve has been told to use; it says so only while it uses them."""
+    with TaskManager():
+        return int(GetNumThreads())
 
 
 def _array(kind: Any, values: NDArray[Any]) -> Any:

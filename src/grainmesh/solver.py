@@ -22,6 +22,8 @@ Arrays = dict[str, NDArray[Any]]
 
 #: Iterations at most, and how many of them a new factor costs.
 MOST, FACTOR = 60, 12.0
+#: Change of the gradients on a triangle that makes it another one.
+CHANGE = 0.2
 #: What a checkpoint holds besides the factor.
 NUMBERS = ("iterations", "factors", "spent", "since")
 FIELDS = ("free", "eps", "inertia", "E", "S", "stirred")
@@ -137,17 +139,22 @@ class Solver:
 
     def _make(self, op: Operator, points: Float) -> None:
         on = op.topology
-        self._factor, self._on = op.factor(op.names), on
+        self._factor, self._on, self._gradient = op.factor(op.names), on, op.gradient.copy()
+        self._order = np.argsort(on.numbers)
         self.factors += 1
         self.recipe = {"triangles": on.triangles, "shifts": on.shifts, "points": points.copy()}
         self.recipe |= {key: getattr(op, key).copy() for key in FIELDS}
 
     def _preconditioner(self, op: Operator) -> tuple[Apply, float]:
-        """The factor at hand, mended on triangles that have come since; their share of all."""
+        """The factor at hand, mended on triangles that are new or look new; their share of all."""
         on, sought, names = op.topology, op.sought, op.names
         assert self._factor is not None
         first = self._factor.preconditioner(np.where(sought, names, -1))
-        fresh = ~np.isin(on.numbers, self._on.faces)
+        order, old = self._order, self._on.numbers
+        place = order[np.searchsorted(old, on.numbers, sorter=order).clip(max=len(order) - 1)]
+        change = np.abs(op.gradient - self._gradient[place]).max(axis=(1, 2))
+        fresh = old[place] != on.numbers
+        fresh |= change > CHANGE * np.abs(self._gradient[place]).max(axis=(1, 2))
         if not fresh.any():
             return first, 0.0
         near = np.zeros(on.count, dtype=bool)
