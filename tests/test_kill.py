@@ -22,6 +22,14 @@ def a_run():
     return gm.Simulation(model, grains)
 
 
+@pytest.fixture(autouse=True, scope="module")
+def often():
+    """Checkpoints and history at each mark, however long they take."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(record, "SHARE", {"checkpoint": 100.0, "history": 100.0})
+        yield
+
+
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory):
     """The folder of the run that nobody disturbs, and how long it takes."""
