@@ -22,10 +22,20 @@ def a_run():
     return gm.Simulation(model, grains)
 
 
+@pytest.fixture(autouse=True, scope="module")
+def often():
+    """Checkpoints and history at each mark, however long they take."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(record, "SHARE", {"checkpoint": 100.0, "history": 100.0})
+        yield
+
+
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory):
     """The folder of the run that nobody disturbs, and how long it takes."""
     folder = tmp_path_factory.mktemp("kill") / "undisturbed"
+    record.record(a_run(), folder.parent / "compiled", **PLAN | {"until": 0.004})
+    record.resume(folder.parent / "compiled", 0.008)
     began = time.perf_counter()
     record.record(a_run(), folder, **PLAN)
     return folder, time.perf_counter() - began
