@@ -60,6 +60,7 @@ html_css_files = ["site.css"]
 html_copy_source = False
 html_show_sourcelink = False
 html_math_renderer = "mathml"
+html_sidebars = {page: [] for page in ("index", "start", "built")}
 html_theme_options = {
     "navbar_align": "left",
     "navbar_end": ["theme-switcher"],
@@ -102,7 +103,8 @@ def visit_inline(self, node):
 
 def visit_block(self, node):
     number = f'<span class="eqno">({node["number"]})</span>' if node["number"] else ""
-    self.body.append(f'<div class="math">{number}{mathml(node.astext(), True)}</div>')
+    start = self.starttag(node, "div", CLASS="math")
+    self.body.append(f"{start}{mathml(node.astext(), True)}{number}</div>")
     raise nodes.SkipNode
 
 

@@ -11,7 +11,7 @@ from PIL import Image
 
 ROOT = Path(__file__).parent.parent
 SMALL = ROOT / "docs" / "_static" / "gallery"
-WIDTH = 1100  # [pixel], of a picture at most
+SIZE = 1100, 800  # width and height [pixel] at most
 
 
 def picture(name: str) -> Path:
@@ -24,9 +24,9 @@ def picture(name: str) -> Path:
 
 
 def small(source: Path, path: Path) -> None:
-    """Write a picture again, at most `WIDTH` wide, in 64 colours."""
+    """Write a picture again, at most `SIZE`, in 64 colours."""
     image = Image.open(source).convert("RGB")
-    image.thumbnail((WIDTH, WIDTH), Image.Resampling.LANCZOS)
+    image.thumbnail(SIZE, Image.Resampling.LANCZOS)
     image.quantize(64, Image.Quantize.MAXCOVERAGE).save(path, optimize=True)
 
 
