@@ -52,7 +52,19 @@ def same(one, other):
     assert (one / checkpoint.NAME).read_bytes() == (other / checkpoint.NAME).read_bytes()
     assert history.read(one).identical(history.read(other))
     for name in (vtkhdf.FLOW, vtkhdf.DISCS):
-        assert (one / name).read_bytes() == (other / name).read_bytes()
+        if (one / name).exists():
+            same_frames(one / name, other / name)
+
+
+def same_frames(one, other):
+    assert (vtkhdf.times(one) == vtkhdf.times(other)).all()
+    for k in range(len(vtkhdf.times(one))):
+        a, b = vtkhdf.read(one, k), vtkhdf.read(other, k)
+        assert a.points.tobytes() == b.points.tobytes()
+        assert np.array_equal(a.triangles, b.triangles)
+        assert a.fields.keys() == b.fields.keys()
+        for name in a.fields:
+            assert a.fields[name].tobytes() == b.fields[name].tobytes()
 
 
 @pytest.fixture(scope="module")
@@ -152,10 +164,7 @@ def test_a_stop_at_a_mark_loses_nothing(tmp_path, monkeypatch, calls):
     with pytest.raises(record.Stopped, match="go on with: grainmesh resume"):
         dry(tmp_path / "stopped")
     record.resume(tmp_path / "stopped")
-    one, other = tmp_path / "undisturbed", tmp_path / "stopped"
-    assert (one / checkpoint.NAME).read_bytes() == (other / checkpoint.NAME).read_bytes()
-    assert (one / vtkhdf.DISCS).read_bytes() == (other / vtkhdf.DISCS).read_bytes()
-    assert history.read(one).identical(history.read(other))
+    same(tmp_path / "undisturbed", tmp_path / "stopped")
 
 
 def test_a_run_goes_on_for_longer(undisturbed, file, tmp_path):
@@ -294,7 +303,7 @@ def test_a_full_disk_is_told_and_the_run_goes_on_later(undisturbed, file, tmp_pa
     command = [sys.executable, "-c", FULL, str(file), str(tmp_path / "out"), str(limit)]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 2
-    assert "s.vtkhdf: cannot be written" in done.stderr
+    assert ".vtkhdf: cannot be written" in done.stderr
     assert "make room" in done.stderr
     assert done.stderr.count("\n") == 1
     assert 1 <= len(vtkhdf.times(tmp_path / "out" / vtkhdf.DISCS)) < 6

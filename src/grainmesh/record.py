@@ -40,7 +40,9 @@ FILES = (CASE, LOG, ENVIRONMENT, checkpoint.NAME, history.NAME, vtkhdf.FLOW, vtk
 #: Most of the time of a run that checkpoints and the history file may take before its end.
 SHARE = {"checkpoint": 0.01, "history": 0.005}
 #: What they take at first, perhaps [s].
-AT_FIRST = {"checkpoint": 0.02, "history": 0.3}
+AT_FIRST = {"checkpoint": 0.05, "history": 0.3}
+#: Most frames kept in memory.
+MANY = 16
 
 
 @dataclass(frozen=True)
@@ -271,6 +273,7 @@ class _Output:
     def __init__(self, run: Simulation, folder: Path, plan: Plan, log: Path) -> None:
         self.run, self.folder, self.plan = run, folder, plan
         self.began = perf_counter()
+        self.frames: dict[str, list[vtkhdf.Frame]] = {vtkhdf.FLOW: [], vtkhdf.DISCS: []}
         self.spent = {"frames": 0.0, "checkpoint": 0.0, "history": 0.0}
         self.before: dict[str, float] = _environment_of(folder).get("seconds", {})
         try:
@@ -301,6 +304,7 @@ class _Output:
         import_module("xarray")  # takes a second, which is not that of writing
         if run.step == 0:
             self._frame()
+            self._write_frames()
 
     def mark(self, last: int) -> None:
         """What is due at the present step."""
@@ -342,12 +346,23 @@ class _Output:
         return max(self.spent[what], AT_FIRST[what]) < SHARE[what] * elapsed
 
     def _frame(self) -> None:
+        """A frame, written with the next checkpoint: it would be dropped without it."""
         with self._timed("frames"):
             if self.run.flow is not None:
-                vtkhdf.append(self.folder / vtkhdf.FLOW, vtkhdf.flow(self.run, self.plan.cuts))
-            vtkhdf.append(self.folder / vtkhdf.DISCS, vtkhdf.discs(self.run))
+                self.frames[vtkhdf.FLOW].append(vtkhdf.flow(self.run, self.plan.cuts))
+            self.frames[vtkhdf.DISCS].append(vtkhdf.discs(self.run))
+        if len(self.frames[vtkhdf.DISCS]) >= MANY:
+            self._write_frames()
+
+    def _write_frames(self) -> None:
+        with self._timed("frames"):
+            for name, frames in self.frames.items():
+                if frames:
+                    vtkhdf.append(self.folder / name, *frames)
+                    frames.clear()
 
     def _save(self) -> None:
+        self._write_frames()
         with self._timed("checkpoint"):
             self.run.save(self.folder)
 

@@ -4,10 +4,10 @@ A run has two files, both of type UnstructuredGrid: ``flow.vtkhdf``, triangles w
 corners change from frame to frame, and ``discs.vtkhdf``, points. One file could hold both as a
 collection, but of transient collections VTK 9.7 shows the first frame only.
 
-A frame is written in HDF5's single-writer mode: rows first, then the number of frames, each step of
-it such that a reader finds a whole file. Between frames the file is closed. A writer that is killed
-in the middle of one leaves a mark on the file, with which VTK refuses it; `read` does not mind, and
-`cut` mends it.
+Frames are written in HDF5's single-writer mode: rows first, then the number of frames, each step of
+it such that a reader finds a whole file, which is then closed. A writer that is killed in the
+middle leaves a mark on the file, with which VTK refuses it; `read` does not mind, and `cut` mends
+it.
 
 Format: VTKHDF 2.3, https://docs.vtk.org/en/latest/vtk_file_formats (read by VTK from 9.3 on).
 """
@@ -15,7 +15,7 @@ Format: VTKHDF 2.3, https://docs.vtk.org/en/latest/vtk_file_formats (read by VTK
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from io import BytesIO
@@ -118,8 +118,8 @@ def _contact_force(simulation: Simulation) -> Float:
     return total
 
 
-def append(path: Path, frame: Frame) -> None:
-    """Add a frame to a file, made if need be.
+def append(path: Path, *frames: Frame) -> None:
+    """Add frames to a file, made if need be; several at once take little longer than one.
 
     Raises
     ------
@@ -129,12 +129,12 @@ def append(path: Path, frame: Frame) -> None:
     new = path.with_suffix(".new")
     try:
         if path.exists():
-            _reserve(path, frame)
-            _append(path, frame)
+            _reserve(path, frames)
+            _append(path, frames)
             return
-        new.write_bytes(_empty(frame))
-        _reserve(new, frame)
-        _append(new, frame)
+        new.write_bytes(_empty(frames[0]))
+        _reserve(new, frames)
+        _append(new, frames)
         os.replace(new, path)
     except BROKEN as fault:
         new.unlink(missing_ok=True)
@@ -278,11 +278,12 @@ def _empty(frame: Frame) -> bytes:
     return memory.getvalue()
 
 
-def _reserve(path: Path, frame: Frame) -> None:
-    """Take the room that a frame may need, as HDF5 does not survive a full disk."""
+def _reserve(path: Path, frames: Sequence[Frame]) -> None:
+    """Take the room that frames may need, as HDF5 does not survive a full disk."""
     with _reading(path) as root:
         need = int(root.file.attrs["room"]) + 2**16
-    need += 2 * sum(part.nbytes for part in (*_fields(frame).values(), _cells(frame)))
+    for frame in frames:
+        need += 2 * sum(part.nbytes for part in (*_fields(frame).values(), _cells(frame)))
     size = path.stat().st_size
     try:
         with path.open("r+b") as file:
@@ -293,7 +294,7 @@ def _reserve(path: Path, frame: Frame) -> None:
         raise
 
 
-def _append(path: Path, frame: Frame) -> None:
+def _append(path: Path, frames: Sequence[Frame]) -> None:
     access = h5p.create(h5p.FILE_ACCESS)
     access.set_libver_bounds(h5f.LIBVER_V110, h5f.LIBVER_V110)
     access.set_file_locking(False, True)  # ParaView may be looking at it
@@ -312,32 +313,32 @@ def _append(path: Path, frame: Frame) -> None:
             rows.select_hyperslab((start, *(0,) * (values.ndim - 1)), values.shape)
             data.write(h5s.create_simple(values.shape), rows, values)
 
-        def before(counts: str) -> int:
-            """Rows of the frames before."""
-            return int(root[counts][:number].sum())
+        def starts(counts: str, more: list[int]) -> Int:
+            """First row of each frame, as frames have so many."""
+            put(counts, more)
+            return int(root[counts][:number].sum()) + np.cumsum([0, *more[:-1]])
 
-        first = before("NumberOfPoints")
-        for name, value in _fields(frame).items():
-            put(name, value, first)
+        points, cells = [_fields(f) for f in frames], [_cells(f) for f in frames]
+        first = starts("NumberOfPoints", [len(frame.points) for frame in frames])
+        for name in points[0]:
+            put(name, np.concatenate([values[name] for values in points]), first[0])
             if name != "Points":
-                put(f"Steps/PointDataOffsets/{name[10:]}", [first])
-        corners = _cells(frame)
-        many, width = corners.shape
-        cell, item = before("NumberOfCells"), before("NumberOfConnectivityIds")
-        put("Connectivity", corners.ravel(), item)
-        put("Offsets", width * np.arange(many + 1), cell + number)  # one more than cells a frame
-        put("Types", np.full(many, TRIANGLE if width == 3 else VERTEX), cell)
-        put("NumberOfCells", [many])
-        put("NumberOfConnectivityIds", [corners.size])
-        put("NumberOfPoints", [len(frame.points)])
-        put("Steps/Values", [frame.t])
-        put("Steps/PartOffsets", [number])
-        put("Steps/NumberOfParts", [1])
-        put("Steps/PointOffsets", [first])
-        put("Steps/CellOffsets", [[cell]])
-        put("Steps/ConnectivityIdOffsets", [[item]])
+                put(f"Steps/PointDataOffsets/{name[10:]}", first)
+        width, many = cells[0].shape[1], [len(corners) for corners in cells]
+        cell = starts("NumberOfCells", many)
+        put("NumberOfConnectivityIds", width * np.array(many))
+        put("Connectivity", np.concatenate(cells).ravel(), width * cell[0])
+        ends = [width * np.arange(count + 1) for count in many]  # one more than cells a frame
+        put("Offsets", np.concatenate(ends), cell[0] + number)
+        put("Types", np.full(sum(many), TRIANGLE if width == 3 else VERTEX), cell[0])
+        put("Steps/Values", [frame.t for frame in frames])
+        put("Steps/PartOffsets", number + np.arange(len(frames)))
+        put("Steps/NumberOfParts", np.ones(len(frames)))
+        put("Steps/PointOffsets", first)
+        put("Steps/CellOffsets", cell[:, None])
+        put("Steps/ConnectivityIdOffsets", width * cell[:, None])
         file.flush()
-        root["Steps"].attrs.modify("NSteps", number + 1)
+        root["Steps"].attrs.modify("NSteps", number + len(frames))
         file.flush()
 
 
