@@ -1,4 +1,12 @@
-"""Permeability of a real carbon-fibre composite across its fibres, by three methods.
+"""A carbon-fibre composite
+========================
+
+Permeability of a real composite across its fibres, by three methods.
+
+.. image:: /_static/gallery/carbon_fibres.png
+   :alt: Carbon fibres, the mesh on them, and the resolved flow
+
+Run it with::
 
     python examples/carbon_fibres.py --out out/demo
 
@@ -7,6 +15,8 @@ known to some 10 %, which matters more than any error of the computation: every 
 radii as given, 5 % smaller and 5 % larger. The source does not give the size of a pixel, so K/d² is
 the result; the pixel is declared here to make the mean fibre 7 micrometres thick.
 """
+
+# sphinx_gallery_thumbnail_path = "_static/gallery/carbon_fibres.png"
 
 from __future__ import annotations
 

@@ -1,11 +1,21 @@
-"""Filtration: grains carried by a flow into fibres that are held in place.
+"""Filtration
+==========
+
+Grains carried by a flow into fibres that are held in place.
+
+.. image:: /_static/gallery/filtration.png
+   :alt: Grains that a filter stops, as time goes on
 
 Seen are grains that follow the flow between the fibres, and others stopped by gaps narrower than
 themselves. The filter clogs: at a given flow, the pressure drop grows. Fibres and grains are
 particles alike, on one mesh with one law of drag; some are fixed.
 
+Run it with::
+
     python examples/filtration.py --out out/filtration
 """
+
+# sphinx_gallery_thumbnail_path = "_static/gallery/filtration.png"
 
 import argparse
 from pathlib import Path
@@ -35,7 +45,7 @@ def main(out: Path, quick: bool = False) -> gm.Simulation:
         "bottom": gm.Slip(), "top": gm.Slip(),
     }  # fmt: skip
     fluid = gm.Fluid(1000.0, 0.01, gm.drag.Permeability(), sides, order=1, spacing=1.5 * D)
-    model = gm.Model(box, gm.Contact(stiffness=3e4), gravity=(0.0, 0.0), fluid=fluid)
+    model = gm.Model(box, gm.Contact(stiffness=2e5), gravity=(0.0, 0.0), fluid=fluid)
     filtration = gm.Simulation(model, both, fixed=np.arange(len(fibres)))
 
     film, rows = plot.Film(top=5.0 * SPEED), []

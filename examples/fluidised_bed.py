@@ -1,12 +1,22 @@
-"""A fluidised bed: syrup flows up through grains, faster and faster.
+"""A fluidised bed
+===============
+
+Syrup flows up through grains, faster and faster.
+
+.. image:: /_static/gallery/fluidised_bed.png
+   :alt: A bed of grains that grows as the flow does
 
 Seen is the bed at rest until the flow carries its weight, then grains that part and a bed that
 grows. The pressure drop rises in proportion to the flow, then stays at the weight of the grains
 less their buoyancy, over the width of the bed. Where the freeboard is, the mesh has nodes of its
 own. The law of drag is one whose range reaches down to packed discs.
 
+Run it with::
+
     python examples/fluidised_bed.py --out out/fluidised_bed
 """
+
+# sphinx_gallery_thumbnail_path = "_static/gallery/fluidised_bed.png"
 
 import argparse
 from pathlib import Path

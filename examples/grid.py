@@ -1,12 +1,22 @@
-"""A bed of grains that flow presses against a grid, until the flow is too weak to hold it.
+"""A bed held by a grid
+====================
+
+A bed of grains that flow presses against a grid, until the flow is too weak to hold it.
+
+.. image:: /_static/gallery/grid.png
+   :alt: A bed pressed against the grid above it
 
 Seen is a bed below a grid that lets the fluid pass, and the rain of grains as the flow dies down.
 To the particles the grid is a wall, to the fluid it is not there. While the bed rests, forces on
 the grid are those of the flow less the weight of the grains: two ways to the same number, one
 from the contacts, one from the pressure drop. Both vanish where the flow just carries the bed.
 
+Run it with::
+
     python examples/grid.py --out out/grid
 """
+
+# sphinx_gallery_thumbnail_path = "_static/gallery/grid.png"
 
 import argparse
 from pathlib import Path
@@ -19,16 +29,16 @@ import grainmesh as gm
 from grainmesh import plot
 from grainmesh.closures import LAWS
 
-D, FLOW = 1e-3, 8e-3  # diameter [m], superficial velocity at first [m/s]
+D, FLOW = 1e-3, 3e-3  # diameter [m], superficial velocity at first [m/s]
 
 
 def main(out: Path, quick: bool = False) -> gm.Simulation:
     n, time = (40, 0.4) if quick else (120, 2.0)
-    box, height = gm.Box(10.0 * D, 24.0 * D), 18.0 * D
+    box, height = gm.Box(10.0 * D, 25.0 * D), 19.0 * D
     # Smooth sides, or they would hold the bed too.
     grid = gm.Wall((0.0, height), (box.width, height))
     walls = (grid, *(gm.Wall.of(box, side, friction=0.0) for side in ("left", "right")))
-    contact = gm.Contact(stiffness=5e4, restitution=0.3)
+    contact = gm.Contact(stiffness=2e5, restitution=0.3)
     grains = gm.arrange.loose(box, n, diameter=(0.9 * D, 1.1 * D), seed=1)
     up = height - D - grains.x[:, 1].max()
     grains = gm.Particles(grains.x + np.array([0.0, up]), grains.diameter, grains.density)

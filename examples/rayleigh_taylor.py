@@ -1,11 +1,21 @@
-"""Rayleigh-Taylor overturn: a suspension above the clear fluid that it is heavier than.
+"""Rayleigh-Taylor overturn
+========================
+
+A suspension above the clear fluid that it is heavier than.
+
+.. image:: /_static/gallery/rayleigh_taylor.png
+   :alt: Plumes of grains that sink
 
 Seen are plumes of grains that sink together, many times faster than a grain would between its
 neighbours, and clear fluid that rises between them. The pressure solves for both at once, so that
 the fingers need no seed but the disorder of the grains.
 
+Run it with::
+
     python examples/rayleigh_taylor.py --out out/rayleigh_taylor
 """
+
+# sphinx_gallery_thumbnail_path = "_static/gallery/rayleigh_taylor.png"
 
 import argparse
 from pathlib import Path

@@ -1,11 +1,19 @@
-"""Sedimentation: grains settle through a syrup and become a bed.
+"""Sedimentation
+=============
+
+Grains settle through a syrup and become a bed.
+
+.. image:: /_static/gallery/sedimentation.png
+   :alt: Grains that settle, and the bed below
 
 Seen are fluid that rises between the sinking grains, faster where grains are few, and the bed that
 grows below. In a closed box what sinks is made up for by what rises: the volume flux of fluid and
-grains together must vanish, to the tolerance of the solver. It takes two minutes; with many grains:
+grains together must vanish, to the tolerance of the solver. With many grains::
 
     python examples/sedimentation.py --out out/sedimentation --n 10000
 """
+
+# sphinx_gallery_thumbnail_path = "_static/gallery/sedimentation.png"
 
 import argparse
 from pathlib import Path

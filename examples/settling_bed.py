@@ -1,10 +1,18 @@
-"""A settling bed: grains fall into a box, collide and come to rest.
+"""A settling bed
+==============
+
+Grains fall into a box, collide and come to rest.
+
+.. image:: /_static/gallery/settling_bed.png
+   :alt: A bed with the forces between its grains, and its energies over time
 
 Draws the bed with the forces between its grains and its energies over time, and writes the energies
-as numbers. Run it with
+as numbers. Run it with::
 
     python examples/settling_bed.py --out out/bed
 """
+
+# sphinx_gallery_thumbnail_path = "_static/gallery/settling_bed.png"
 
 import argparse
 from pathlib import Path

@@ -1,11 +1,21 @@
-"""Two particles that settle one above the other: the one behind catches up (drafting).
+"""Drafting
+========
+
+Two particles settle one above the other, and the one behind catches up.
+
+.. image:: /_static/gallery/two_particles.png
+   :alt: Two discs, one in the wake of the other
 
 Seen are two discs, and how the follower falls faster in the wake of its leader, until they kiss.
 The mesh has nodes a diameter and a half apart, so the wake is that of two kernels, not of resolved
 surfaces: the tendency is right, the time it takes is not to be relied upon.
 
+Run it with::
+
     python examples/two_particles.py --out out/two_particles
 """
+
+# sphinx_gallery_thumbnail_path = "_static/gallery/two_particles.png"
 
 import argparse
 from pathlib import Path
