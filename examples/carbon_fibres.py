@@ -40,12 +40,19 @@ BAND_TOL = 3e-2  # for the band: small against its width
 
 Results = dict[tuple[str, float], gm.Permeability]
 
+# %%
+# Fibres that touch the window. The radii are given, and 5 % smaller and larger.
+
 
 def load(side: float, scale: float) -> tuple[gm.Box, gm.Particles]:
     """Fibres that touch the window of `side` pixels, radii times `scale`."""
     box, fibres = gm.arrange.from_csv(DATA, unit=PIXEL, width=side * PIXEL, height=side * PIXEL)
     fibres = fibres.with_diameter(scale * fibres.diameter)
     return box, fibres.select(touches(box, fibres))
+
+
+# %%
+# Three methods at three radii; files are written whole or not at all.
 
 
 def run(out: Path, *, side: float = 200.0, tol: float = 1e-3) -> Results:
@@ -84,6 +91,10 @@ def run(out: Path, *, side: float = 200.0, tol: float = 1e-3) -> Results:
             },
         )
     return results
+
+
+# %%
+# What is printed, and the command line.
 
 
 def table(results: Results) -> Table:

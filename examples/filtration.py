@@ -29,6 +29,10 @@ from grainmesh import plot
 
 D, FIBRE, SPEED = 1e-3, 2.5e-3, 0.01  # diameters [m], superficial velocity [m/s]
 
+# %%
+# A layer of fibres that are held (``fixed``), and grains upstream of it: one list of particles, one
+# mesh. ``observe`` is called at each mark of the run.
+
 
 def main(out: Path, quick: bool = False) -> gm.Simulation:
     n, time = (40, 0.4) if quick else (150, 3.0)
@@ -57,7 +61,7 @@ def main(out: Path, quick: bool = False) -> gm.Simulation:
 
     filtration.run(time, every=time / (5 if quick else 80), observe=observe, progress=not quick)
     out.mkdir(parents=True, exist_ok=True)
-    print(film.strip(out / "filtration.png"), film.save(out / "filtration"))
+    print(film.strip(out / "filtration.png", count=2), film.save(out / "filtration"))
     t, drop, passed = np.array(rows).T
     figure, ax = plt.subplots(layout="constrained")
     ax.plot(t, drop)
@@ -68,6 +72,9 @@ def main(out: Path, quick: bool = False) -> gm.Simulation:
     assert (filtration.x[: len(fibres)] == x[: len(fibres)]).all()
     return filtration
 
+
+# %%
+# From the command line:
 
 if __name__ == "__main__":
     matplotlib.use("Agg")

@@ -31,6 +31,10 @@ from grainmesh.closures import LAWS
 
 D, RAMP = 1e-3, 3e-3  # diameter [m], growth of the superficial velocity [m/s2]
 
+# %%
+# The grains fall without fluid first. Then the settled bed meets a flow that grows with time, given
+# as a function of place and time at the bottom of the box.
+
 
 def main(out: Path, quick: bool = False) -> gm.Simulation:
     n, time = (60, 1.5) if quick else (150, 2.0)
@@ -73,6 +77,9 @@ def main(out: Path, quick: bool = False) -> gm.Simulation:
     assert abs(carried - 1.0) < 0.05
     return bed
 
+
+# %%
+# From the command line:
 
 if __name__ == "__main__":
     matplotlib.use("Agg")

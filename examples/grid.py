@@ -31,6 +31,9 @@ from grainmesh.closures import LAWS
 
 D, FLOW = 1e-3, 3e-3  # diameter [m], superficial velocity at first [m/s]
 
+# %%
+# Gravity the other way round presses the bed against the grid, without fluid; then the flow does.
+
 
 def main(out: Path, quick: bool = False) -> gm.Simulation:
     n, time = (40, 0.4) if quick else (120, 2.0)
@@ -53,7 +56,7 @@ def main(out: Path, quick: bool = False) -> gm.Simulation:
     bed = gm.Simulation(gm.Model(box, contact, walls=walls, fluid=fluid), packed)
     weight = 1500.0 * 9.81 * np.pi / 4.0 * (grains.diameter**2).sum()
 
-    film, rows = plot.Film(top=2.0 * FLOW), []
+    film, rows = plot.Film(top=5.0 * FLOW), []
 
     def observe(bed: gm.Simulation) -> None:
         film(bed)
@@ -77,6 +80,9 @@ def main(out: Path, quick: bool = False) -> gm.Simulation:
     assert abs(contacts - pressure)[held].max() < 0.05
     return bed
 
+
+# %%
+# From the command line:
 
 if __name__ == "__main__":
     matplotlib.use("Agg")

@@ -28,6 +28,9 @@ from grainmesh import plot
 
 D = 1e-3  # [m]
 
+# %%
+# Grains at random in the upper part of a closed box, without slip at its sides.
+
 
 def main(out: Path, quick: bool = False) -> gm.Simulation:
     n, porosity, mu = 60 if quick else 300, 0.75, 0.05
@@ -52,6 +55,9 @@ def main(out: Path, quick: bool = False) -> gm.Simulation:
     assert fastest > alone
     return turn
 
+
+# %%
+# From the command line:
 
 if __name__ == "__main__":
     matplotlib.use("Agg")

@@ -26,6 +26,9 @@ from grainmesh import plot
 
 D = 1e-3  # [m]
 
+# %%
+# Grains in loose rows under the lid of a closed box.
+
 
 def main(out: Path, n: int = 400, quick: bool = False) -> gm.Simulation:
     columns = np.ceil(np.sqrt(n / 2.0))
@@ -51,6 +54,9 @@ def main(out: Path, n: int = 400, quick: bool = False) -> gm.Simulation:
     assert abs(down + rising) < 1e-3 * abs(down)
     return fall
 
+
+# %%
+# From the command line:
 
 if __name__ == "__main__":
     matplotlib.use("Agg")

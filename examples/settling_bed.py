@@ -24,6 +24,9 @@ import numpy as np
 import grainmesh as gm
 from grainmesh import plot
 
+# %%
+# ``ledger=True`` books where energy goes; ``save`` leaves a folder from which the run can go on.
+
 
 def main(out: Path, n: int = 2000) -> gm.Simulation:
     box = gm.Box(0.06, 0.06)
@@ -49,6 +52,9 @@ def main(out: Path, n: int = 2000) -> gm.Simulation:
     np.savetxt(out / "bed.csv", rows, delimiter=",", header=",".join(keys), comments="")
     return bed
 
+
+# %%
+# From the command line:
 
 if __name__ == "__main__":
     matplotlib.use("Agg")

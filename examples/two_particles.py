@@ -29,6 +29,10 @@ from grainmesh import plot
 
 D = 2e-3  # [m]
 
+# %%
+# Two discs far apart in a channel, with the law of one cylinder. It takes the velocity far away,
+# so what a disc itself adds to the flow is taken out.
+
 
 def main(out: Path, quick: bool = False) -> gm.Simulation:
     box = gm.Box(8.0 * D, 40.0 * D)
@@ -59,6 +63,9 @@ def main(out: Path, quick: bool = False) -> gm.Simulation:
     assert distance[-1] < 3.0 * D
     return fall
 
+
+# %%
+# From the command line:
 
 if __name__ == "__main__":
     matplotlib.use("Agg")
