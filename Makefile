@@ -36,7 +36,7 @@ docs: $(READY) .venv/kernels
 
 # The site; runs no example, loads nothing from the network.
 site: $(READY)
-	$(BIN)/python -m sphinx -W --keep-going -q -b html -d out/doctrees docs out/site
+	$(BIN)/python -m sphinx -E -a -W --keep-going -q -b html -d out/doctrees docs out/site
 
 clean:
 	rm -rf .venv out build .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache
