@@ -151,7 +151,7 @@ def gmres(
     preconditioning).
     """
     size = norm(f)
-    if size <= tolerance:
+    if size <= tolerance or not np.isfinite(size):
         return np.zeros_like(f), 0, size
     basis, kept = np.empty((most + 1, len(f))), []
     basis[0] = f / size
@@ -162,6 +162,8 @@ def gmres(
         w = apply(kept[j])
         H[: j + 1, j] = _orthogonalise(basis[: j + 1], w)
         H[j + 1, j] = norm(w)
+        if not np.isfinite(H[j + 1, j]):
+            return np.zeros_like(f), j + 1, np.inf
         for i, (cos, sin) in enumerate(rotations[:j]):
             H[i : i + 2, j] = cos * H[i, j] + sin * H[i + 1, j], cos * H[i + 1, j] - sin * H[i, j]
         length = float(np.hypot(H[j, j], H[j + 1, j]))

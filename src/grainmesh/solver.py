@@ -109,6 +109,8 @@ class Solver:
         f, x = op.condensed(f), op.x
         r = scale * (f - op.apply(x))
         size = max(norm(scale * f), norm(r))
+        if not np.isfinite(size):
+            raise RunError("the flow is not finite: forces have blown up, or steps are too long")
         goal = max(tolerance * size, 1e-300)
         for attempt in range(2):
             fresh = self._factor is None or attempt == 1
