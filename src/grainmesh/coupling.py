@@ -60,7 +60,7 @@ Float = NDArray[np.float64]
 #: in distances; Courant number.
 WAY, SHARE, COURANT = 1.0 / 7.0, 0.5, 0.5
 #: The part of all passing by, speeds summed up, that these hold for.
-MOST_PASS = 0.95
+MOST_PASS = 0.8
 #: Reynolds number of a triangle at most: beyond it, viscosity is added.
 ROUGH = 200.0
 #: Discs whose own flow is computed, where there are more; below so many points, in each step.
@@ -86,8 +86,8 @@ class Coupling(Fields):
         passing = integrals.passing(corner, places, speed, n, WAY * d, SHARE)
         if passing.any():  # a few may be faster: their triangles must not turn over
             passing = np.sort(passing)
-            most_of_it = np.searchsorted(passing.cumsum(), MOST_PASS * passing.sum())
-            longest = min(longest, 1.0 / passing[most_of_it])
+            most_of_it = np.searchsorted(passing.cumsum(), MOST_PASS * float(passing.sum()))
+            longest = min(longest, 1.0 / passing[min(most_of_it, len(passing) - 1)])
         # How fast flow crosses the triangles around a point. Where viscosity is faster, u² rho/mu
         # takes the place of u/h: it acts implicitly.
         smooth = 0.5 * self.fluid.density / self.fluid.viscosity
@@ -110,7 +110,7 @@ class Coupling(Fields):
         # Powers of two that grow reluctantly: the matrix, and its factor, then change less often.
         count = max(1, int(longest / dt + 1e-9))
         power = 1 << (count.bit_length() - 1)
-        if power * dt > 1.5 * self.dt > 0.0 and count < 1.5 * power:
+        if power * dt > 1.5 * self.dt > 0.0 and count < 1.2 * power:
             power = max(1, power // 2)
         if self.dt > 0.0:  # BDF2 is stable for ratios to 2.4
             power = min(power, max(1, 2 * round(self.dt / dt)))
