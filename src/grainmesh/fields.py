@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from grainmesh import sides
 from grainmesh.carry import Finder, Keys, Topology, Transfer
+from grainmesh.cells import Diagram
 from grainmesh.domain import SIDES, Box
 from grainmesh.element import element, lattice
 from grainmesh.errors import InputError, RunError
@@ -26,17 +27,21 @@ Float = NDArray[np.float64]
 Int = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Arrays = dict[str, NDArray[Any]]
+Kept = tuple[Bounded, Float, dict[str, Any]]
 
 #: Least porosity of a vertex.
 LEAST_POROSITY = 0.02
 #: Most nodes in open places.
 MANY = 1e6
+#: What is made anew in a step, not changed.
+REFERENCES = ("operator", "kernel", "fluid", "gravity", "_edges")
 #: What a checkpoint holds besides the mesh and the unknowns.
-NUMBERS = ("time", "dt", "stirring_since", "stirring_flips")
+NUMBERS = ("time", "dt", "stirring_since", "stirring_flips", "added")
 STATE = (
     "velocity", "last", "slid", "force", "around", "curl", "drag", "mobility",
     "extra", "D", "du", "Q",
 )  # fmt: skip
+SHARE = ("data", "indices", "indptr")
 PARTS = ("mesh", "kernel", "matrix", "solve", "rest")
 
 
@@ -166,6 +171,7 @@ class Fields:
     dt: float
     stirring_since: float
     stirring_flips: int
+    added: float
     _old: Float
 
     def __init__(
@@ -191,7 +197,7 @@ class Fields:
         self.slid = np.zeros((n, 2))
         self.drag, self.mobility = np.zeros(n), np.zeros(n)
         self.time = self.dt = self.stirring_since = 0.0
-        self.stirring_flips = 0
+        self.stirring_flips, self.added = 0, 0.0
         self.seconds = dict.fromkeys(PARTS, 0.0)
         self.solver = Solver()
         self._build()
@@ -225,6 +231,9 @@ class Fields:
         for key, value in vars(self.mesh).items():
             if isinstance(value, np.ndarray):
                 found[f"mesh/{key}"] = value
+        share, cells = self.kernel.share, vars(self.kernel.spread.cells)
+        found |= {"kernel/area": self.kernel.area} | {f"cells/{k}": v for k, v in cells.items()}
+        found |= {f"share/{key}": getattr(share, key) for key in SHARE}
         return found | {f"factor/{key}": value for key, value in self.solver.recipe.items()}
 
     @classmethod
@@ -248,7 +257,12 @@ class Fields:
             setattr(self, name, arrays[name])
         self.seconds = dict.fromkeys(PARTS, 0.0)
         self._build()
-        self.kernel = self._kernel()
+        share = csr_array(
+            tuple(arrays[f"share/{key}"] for key in SHARE),
+            shape=(len(discs.mass), len(self.mesh.points)),
+        )
+        cells = Diagram(**{k[6:]: v for k, v in arrays.items() if k.startswith("cells/")})
+        self.kernel = self._kernel_of(Spread(arrays["kernel/area"], share, cells))
         self._load_porosity()
         self.operator.x = arrays["x"]
         recipe = {k[7:]: v for k, v in arrays.items() if k.startswith("factor/")}
@@ -258,20 +272,25 @@ class Fields:
     def measure(self) -> dict[str, float]:
         """Numbers of the present flow.
 
-        fluid kinetic [J/m], slip (mean speed of fluid against discs [m/s]), flow step [s], added
-        viscosity (largest, over mu; see `coupling.ROUGH`), iterations; of a box with walls, the
-        mean dynamic pressure at each side [Pa].
+        fluid momentum x, y [N s/m], fluid kinetic [J/m], slip (mean speed of fluid against discs
+        [m/s]), flow step [s], added viscosity (largest, over mu; see `coupling.ROUGH`), iterations;
+        of a box with walls, the mean dynamic pressure at each side [Pa].
         """
         op = self.operator
         found = {
+            **dict(zip(("fluid momentum x", "fluid momentum y"), self._momentum(), strict=True)),
             "fluid kinetic": 0.5 * float((op.momentum() * op.u).sum()),
             "slip": float(np.hypot(*(self.around - self.velocity).T).mean()),
             "flow step": self.dt,
-            "added viscosity": float(op.stirred.max()) / self.fluid.viscosity,
+            "added viscosity": self.added / self.fluid.viscosity,
             "iterations": self.solver.iterations,
         }
         for number, side in enumerate(() if self.box.periodic else SIDES):
             found[f"pressure {side}"] = self.pressure_at(side) / self.box.size[1 - number // 2]
+        return found
+
+    def _momentum(self) -> list[float]:
+        found: list[float] = self.Q[: self.operator.topology.count].sum(axis=0).tolist()
         return found
 
     def pressure_at(self, side: str) -> float:
@@ -281,8 +300,8 @@ class Fields:
 
     def flux(self, side: str) -> float:
         """Volume of fluid that leaves through a side, per depth and time, ∫ε u·n [m2/s]."""
-        op, number = self.operator, SIDES.index(side)
-        found = op.along(self._side(side), op.u, op.keys, op.eps)
+        op, edges, number = self.operator, self._side(side), SIDES.index(side)
+        found = op.along(edges, op.u, op.keys, op.eps)
         return float(found[number // 2]) * (1.0 if number % 2 else -1.0)
 
     def mean(self) -> Float:
@@ -372,16 +391,20 @@ class Fields:
         self.solver.forget()
         self._remesh()
 
-    def back(self, arrays: Arrays, numbers: dict[str, Any]) -> None:
-        """Take back a step that failed, to the state that these were of."""
-        for name in NUMBERS:
-            setattr(self, name, numbers[name])
-        for name in STATE:
-            setattr(self, name, arrays[name])
-        self.operator.x = arrays["x"]
-        self.mesh.points[:] = self._old
+    def keep(self) -> Kept:
+        """The state before a step, for `back`."""
+        state = {name: getattr(self, name) for name in (*STATE, *NUMBERS, *REFERENCES)}
+        return _copied(self.mesh), self.operator.x, state
+
+    def back(self, kept: Kept) -> None:
+        """Undo a step that failed, and whatever of it was done."""
+        mesh, x, state = kept
+        self.mesh = _copied(mesh)
+        for name, value in state.items():
+            setattr(self, name, value)
+        self._old = self.mesh.points.copy()
         self.operator.at(self._old)
-        self.kernel = self._kernel()
+        self.operator.x = x
         self._load_porosity()
 
     # --- the mesh -----------------------------------------------------------------------------
@@ -444,11 +467,15 @@ class Fields:
     def _kernel(self, changed: Mask | None = None) -> Kernel:
         """Eq. (2) for the present places; if given, only corners of triangles have `changed`."""
         mesh, r = self.mesh, 0.5 * self.discs.diameter
-        n, m = len(r), len(mesh.points)
+        n = len(r)
         reach = self.fluid.reach * float(self.discs.diameter.max())
         arrays = mesh.points, mesh.triangles, mesh.neighbours, mesh.shifts
         before = None if changed is None else self.kernel.spread
         found = spread(self.box, mesh.points[:n], r, reach, *arrays, before, changed)
+        return self._kernel_of(found)
+
+    def _kernel_of(self, found: Spread) -> Kernel:
+        mesh, m = self.mesh, len(self.mesh.points)
         place = self._corners()
         a, b = place[:, 1] - place[:, 0], place[:, 2] - place[:, 0]
         area = 0.5 * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
@@ -493,6 +520,11 @@ class Fields:
                     "and nothing the other way: give one side an Outlet(), or inflows that add up "
                     "to zero"
                 )
+
+
+def _copied(mesh: Bounded) -> Bounded:
+    arrays: dict[str, Any] = {k: v.copy() for k, v in vars(mesh).items() if hasattr(v, "copy")}
+    return replace(mesh, **arrays)
 
 
 def _made_up(old: Topology, new: Topology, missing: Float, changed: Mask, weight: Float) -> Float:

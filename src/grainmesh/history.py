@@ -53,6 +53,8 @@ MEANING = {
     "bed_height": ("m", "twice the height of the centre of mass of the particles"),
     "energy_residual": ("1", "change of the total of the ledger over the largest energy so far"),
     "volume_residual": ("1", "solid on the mesh less that of the particles, over the latter"),
+    "fluid_momentum_x": ("N s m-1", "momentum of the fluid, x"),
+    "fluid_momentum_y": ("N s m-1", "momentum of the fluid, y"),
     "fluid_kinetic": ("J m-1", "kinetic energy of the fluid"),
     "slip": ("m s-1", "mean speed of the fluid against the particles"),
     "flow_step": ("s", "step of the flow"),

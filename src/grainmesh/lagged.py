@@ -150,8 +150,8 @@ def gmres(
     Y. Saad, Iterative Methods for Sparse Linear Systems (2003), Algorithm 9.5 (right
     preconditioning).
     """
-    size = _norm(f)
-    if size <= tolerance:
+    size = norm(f)
+    if size <= tolerance or not np.isfinite(size):
         return np.zeros_like(f), 0, size
     basis, kept = np.empty((most + 1, len(f))), []
     basis[0] = f / size
@@ -161,7 +161,9 @@ def gmres(
         kept.append(precondition(basis[j]))
         w = apply(kept[j])
         H[: j + 1, j] = _orthogonalise(basis[: j + 1], w)
-        H[j + 1, j] = _norm(w)
+        H[j + 1, j] = norm(w)
+        if not np.isfinite(H[j + 1, j]):
+            return np.zeros_like(f), j + 1, np.inf
         for i, (cos, sin) in enumerate(rotations[:j]):
             H[i : i + 2, j] = cos * H[i, j] + sin * H[i + 1, j], cos * H[i + 1, j] - sin * H[i, j]
         length = float(np.hypot(H[j, j], H[j + 1, j]))
@@ -180,7 +182,8 @@ def gmres(
 
 # Not by BLAS, whose threads would wait for each other, and spin.
 @njit(cache=True, fastmath={"reassoc", "contract"})
-def _norm(x: Float) -> float:
+def norm(x: Float) -> float:
+    """|x|."""
     total = 0.0
     for value in x:
         total += value * value
@@ -202,4 +205,4 @@ def _orthogonalise(basis: Float, w: Float) -> Float:
     return found
 
 
-__all__ = ["Apply", "Lagged", "gmres", "mended"]
+__all__ = ["Apply", "Lagged", "gmres", "mended", "norm"]

@@ -56,7 +56,7 @@ from grainmesh.element import (
     rule,
     slopes,
 )
-from grainmesh.lagged import Lagged, gmres
+from grainmesh.lagged import Lagged, gmres, norm
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -321,7 +321,7 @@ class Operator:
             self.load(f=force)
             whole = self.source()
             f = self.condensed(whole)
-            goal = MOBILITY_TOLERANCE * float(np.linalg.norm(f[sought]))
+            goal = MOBILITY_TOLERANCE * norm(f[sought])
             x, _, left = gmres(
                 lambda z: self.apply(z) * sought, precondition, f * sought, goal, MOST
             )

@@ -388,20 +388,23 @@ class Simulation:
         self._moved = np.zeros((len(new), 6))
         for _ in range(2):
             motion.move_walls(self._walls, self._moved, self.t)
+        kept = self.flow.keep() if self.flow is not None else None
         try:
             refuse_fast_walls(new, motion.speeds(self._walls), self.dt, self._s[:, R].min())
             self._renew_lists(
                 discs, pairs.renumbered(touch, np.arange(len(self), dtype=np.int32), False, ())
             )
             self._refuse_stuck()
+            if self.flow is not None and model.fluid is not None:
+                self.flow.change(model.fluid, model.gravity)
         except InputError:
+            if self.flow is not None and kept is not None:
+                self.flow.back(kept)
             (
                 self.model, self._law, self._walls, self._moved, self._pairs, self._touch,
                 self._seen,
             ) = before  # fmt: skip
             raise
-        if self.flow is not None and model.fluid is not None:
-            self.flow.change(model.fluid, model.gravity)
         return self
 
     def run(
@@ -507,7 +510,7 @@ class Simulation:
         """
         flow = self.flow
         assert flow is not None
-        good, state, numbers, spin = self._copy(), flow.arrays(), flow.numbers(), self.spin
+        good, kept, spin = self._copy(), flow.keep(), self.spin
         steps = flow.steps(self.dt, most)
         while True:
             span = steps * self.dt
@@ -523,8 +526,12 @@ class Simulation:
                 fault = None
             except (RunError, InputError) as why:
                 fault = RunError(f"{why} (at t = {self.t:g} s)") if steps == 1 else None
+            except BaseException:
+                self._restore(good)
+                flow.back(kept)
+                raise
             self._restore(good)
-            flow.back(state, numbers)
+            flow.back(kept)
             if steps == 1:
                 raise fault or RunError(
                     f"the particles turn triangles of the mesh over in a single step at "

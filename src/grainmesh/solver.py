@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from grainmesh.errors import RunError
-from grainmesh.lagged import Apply, Lagged, gmres, mended
+from grainmesh.lagged import Apply, Lagged, gmres, mended, norm
 from grainmesh.navier import Operator
 
 Float = NDArray[np.float64]
@@ -108,7 +108,9 @@ class Solver:
         level = op.split + np.flatnonzero(op.topology.used) if floating else np.empty(0, np.int64)
         f, x = op.condensed(f), op.x
         r = scale * (f - op.apply(x))
-        size = max(float(np.linalg.norm(scale * f)), float(np.linalg.norm(r)))
+        size = max(norm(scale * f), norm(r))
+        if not np.isfinite(size):
+            raise RunError("the flow is not finite: forces have blown up, or steps are too long")
         goal = max(tolerance * size, 1e-300)
         for attempt in range(2):
             fresh = self._factor is None or attempt == 1
