@@ -86,8 +86,8 @@ class Coupling(Fields):
         passing = integrals.passing(corner, places, speed, n, WAY * d, SHARE)
         if passing.any():  # a few may be faster: their triangles must not turn over
             passing = np.sort(passing)
-            most_of_it = np.searchsorted(passing.cumsum(), MOST_PASS * float(passing.sum()))
-            longest = min(longest, 1.0 / passing[min(most_of_it, len(passing) - 1)])
+            enough = int((passing.cumsum() < MOST_PASS * float(passing.sum())).sum())
+            longest = min(longest, 1.0 / passing[min(enough, len(passing) - 1)])
         # How fast flow crosses the triangles around a point. Where viscosity is faster, u² rho/mu
         # takes the place of u/h: it acts implicitly.
         smooth = 0.5 * self.fluid.density / self.fluid.viscosity
