@@ -376,6 +376,83 @@ def test_a_run_goes_on_bit_for_bit(make, times, tmp_path):
         assert np.array_equal(a, b)
 
 
+# Faults -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("make", [closed, lambda: soup(porosity=0.8, spacing=0.6e-3)])
+@pytest.mark.parametrize("fault", [gm.RunError("made up"), KeyboardInterrupt()])
+def test_a_step_that_fails_late_is_undone_whole(make, fault, monkeypatch):
+    """After edges have been flipped, and nodes put in and taken out."""
+    run = step(make(), 3)
+    whole, flow = type(run.flow)._kernel, run.flow
+
+    def fails(self, changed=None):
+        if changed is not None:
+            raise fault
+        return whole(self, changed)
+
+    while True:  # to a step in which the mesh changes
+        before = [np.array(part) for part in bits(run)]
+        with monkeypatch.context() as patch:
+            patch.setattr(type(flow), "_kernel", fails)
+            try:
+                run._flow_step(1)
+            except (gm.RunError, KeyboardInterrupt):
+                break
+    assert np.array_equal(flow.mesh.triangles, flow.operator.topology.triangles)
+    for a, b in zip(bits(run), before, strict=True):
+        assert np.array_equal(a, b)
+    step(run, 3)  # and goes on
+    assert np.isfinite(run.x).all()
+
+
+def test_a_change_that_is_refused_changes_nothing():
+    sides = {"bottom": Inflow((0.0, 0.005)), "top": Outlet()}
+    run = step(closed(sides=sides), 3)
+    model, before = run.model, [np.array(part) for part in bits(run)]
+    with pytest.raises(gm.InputError, match="nothing the other way"):
+        run.change(replace(model, fluid=replace(model.fluid, sides={"bottom": sides["bottom"]})))
+    assert run.model is model
+    assert run.flow.fluid is model.fluid
+    for a, b in zip(bits(run), before, strict=True):
+        assert np.array_equal(a, b)
+    step(run, 2)
+
+
+def test_few_fast_discs_among_many_at_rest_decide_the_step():
+    n = 100
+    box, grains = gm.arrange.square(10, 10, porosity=0.8, diameter=D)
+    grains = gm.Particles(grains.x, D, 1000.0)
+    velocity = np.zeros((n, 2))
+    velocity[44] = 1.0, 0.0
+    run = gm.Simulation(gm.Model(box, LAW, fluid=WATER), grains, velocity=velocity)
+    assert run.flow.steps(run.dt, 10**6) * run.dt * 1.0 < 0.15 * D
+
+
+def test_a_flow_faster_than_the_contacts_is_refused():
+    jet = {"bottom": Inflow((0.0, 50.0)), "top": Outlet()}
+    run = closed(sides=jet)
+    with pytest.raises(gm.RunError, match=r"smaller Model\(dt="):
+        step(run, 20)
+
+
+@SLOW
+def test_a_jet_does_not_blow_up():
+    """Convection is explicit: at a cell Reynolds number of 140, forward Euler grows to NaN."""
+
+    def jet(x, t):
+        return np.stack(
+            [0.0 * x[:, 0], 0.3 * np.maximum(0.0, 1.0 - ((x[:, 0] - 0.01) / 0.004) ** 2)], 1
+        )
+
+    sides = {"bottom": Inflow(jet), "top": Outlet()}
+    fluid = replace(WATER, viscosity=5e-3, drag=Linear(1e-9), sides=sides, spacing=1e-3, dt=1e-3)
+    box, grain = gm.Box(0.02, 0.02), gm.Particles([[0.004, 0.01]], 1e-4, 1000.0)
+    run = gm.Simulation(gm.Model(box, LAW, gravity=(0.0, 0.0), fluid=fluid), grain, fixed=[0])
+    run.run(until=0.15)
+    assert np.abs(run.flow.sample().velocity).max() < 1.2 * 0.3
+
+
 # Invariance ---------------------------------------------------------------------------------------
 
 EXACT = replace(WATER, tolerance=1e-12, dt=1e-3)
