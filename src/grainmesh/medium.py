@@ -79,6 +79,8 @@ class Inflow:
 class Outlet:
     """A side with a given pressure, which flow passes at right angles.
 
+    What flows in there brings the mean velocity of the fluid in the box.
+
     Parameters
     ----------
     pressure : float

@@ -186,7 +186,7 @@ class Operator:
             self.topology.corners, self.keys.rows, self.gradient, self.area, self.eps, e, self.w,
             places, one.shape(places), one.slope(places), weight,
         )  # fmt: skip
-        if len(self.outlets):  # what flows out takes its momentum with it; what flows in had none
+        if len(self.outlets):  # what flows in has the mean velocity, by Eq. (6)
             velocity, eps, normal, shape = self._at_sides(self.outlets, e, 3 * self.order + 1)
             out = eps * np.maximum((velocity * normal).sum(axis=2), 0.0)
             rows = self.keys.rows[self.outlets[:, 0]]
