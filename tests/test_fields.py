@@ -114,3 +114,9 @@ def test_sample_tiles_the_box_with_values_of_the_flow(order, periodic, cuts):
         count = flow.mesh.in_use.sum() + len(flow.operator.topology.edges) * (cuts - 1)
         assert len(found.points) == count + t * (cuts - 1) * (cuts - 2) // 2
         assert len(np.unique(found.points.round(9), axis=0)) == len(found.points)
+
+
+def test_a_flow_says_what_it_is():
+    flow = made(1, False)[0]
+    assert repr(flow).startswith(f"Coupling: MINI on {len(flow.operator.area)} triangles, ")
+    assert f"{flow.operator.free.sum()} unknowns" in repr(flow)

@@ -207,6 +207,15 @@ class Fields:
         self.extra, self.D, self.du = (np.zeros_like(self.operator.u) for _ in range(3))
         self.Q = self.operator.momentum()
 
+    def __repr__(self) -> str:
+        op = self.operator
+        kind = "MINI" if op.order == 1 else f"P{op.order}/P{op.order - 1}"
+        return (
+            f"{type(self).__name__}: {kind} on {len(op.area)} triangles, {op.free.sum()} unknowns, "
+            f"{len(self.discs.mass)} discs, t = {self.time:.4g} s, step {self.dt:.3g} s, porosity "
+            f"from {self.kernel.porosity.min():.3g}"
+        )
+
     @property
     def iterations(self) -> int:
         """Of the linear solver in the last step."""
