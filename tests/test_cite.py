@@ -125,5 +125,6 @@ def test_the_verb_cites_what_results_used_and_refuses_others_in_one_line(tmp_pat
         assert main(["cite", str(tmp_path)]) == 2
         assert capsys.readouterr().err.count("\n") == 1
     assert main(["cite", str(tmp_path / "nowhere.toml")]) == 2
-    assert main(["cite", str(tmp_path.parent)]) == 2
+    (tmp_path / "empty").mkdir()
+    assert main(["cite", str(tmp_path / "empty")]) == 2
     assert capsys.readouterr().err.count("\n") == 2

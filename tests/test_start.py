@@ -264,3 +264,9 @@ def test_a_model_that_makes_no_sense_is_refused(model, words):
 def test_walls_and_discs_that_make_no_sense_are_refused(make, words):
     with pytest.raises(gm.InputError, match=re.escape(words)):
         make()
+
+
+def test_particles_of_no_mass_are_refused():
+    box, speck = gm.Box(1.0, 1.0), gm.Particles([[0.5, 0.5]], 1e-90)
+    with pytest.raises(gm.InputError, match="too small to compute with"):
+        gm.Simulation(gm.Model(box, gm.Contact(1e3)), speck)

@@ -321,7 +321,7 @@ class Simulation:
                 books[name] for name in ("damped", "slid", "rolled")
             )
             books["total"] -= books["work of walls"] + books["work outside"]
-        return {
+        found = {
             "t": self.t,
             "step": self.step,
             "particles": len(self),
@@ -333,6 +333,7 @@ class Simulation:
             **books,
             **(self.flow.measure() if self.flow is not None else {}),
         }
+        return {key: v if isinstance(v, int) else float(v) for key, v in found.items()}
 
     def change(self, model: Model) -> Simulation:
         """Go on with another model: open a side, take walls away or add some, change a law.

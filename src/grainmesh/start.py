@@ -24,6 +24,8 @@ MOST_OF_FIXED = 0.3
 #: Longest way of a disc or wall in one step, in smallest radii: then none jumps over another, and
 #: overlaps that grow until the next upkeep do not pass a radius, so that edges show them (`pairs`).
 FARTHEST = 0.5 * WAY
+#: Least mass per unit depth [kg/m]: squares of its inverse are finite.
+LIGHTEST = 1e-150
 
 
 def state_of(
@@ -88,6 +90,11 @@ def step_of(model: Model, particles: Particles, fixed: Mask) -> float:
     """Step of a model [s], refused if too large for the lightest pair or overdamped ones."""
     mass = particles.density * np.pi * particles.diameter**2 / 4.0
     mass = np.sort(mass if fixed.all() else mass[~fixed])
+    if mass[0] < LIGHTEST:
+        raise InputError(
+            f"the lightest particle has a mass of {mass[0]:.3g} kg/m, too small to compute with: "
+            "check the units of diameter and density"
+        )
     pair = mass[0] * mass[min(1, len(mass) - 1)] / (mass[0] + mass[min(1, len(mass) - 1)])
     model.contact.contact_time(mass[-1])  # the heaviest, on a wall, is damped most
     # Dashpots see velocities foretold, stable for rates below 1/Δt; a disc that spins among six
