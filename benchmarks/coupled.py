@@ -42,7 +42,7 @@ def sedimentation(n: int, order: int) -> gm.Simulation:
     size = (n / 400.0) ** 0.5
     box = gm.Box(0.024 * size, 0.048 * size)
     grains = gm.arrange.loose(box, n, diameter=1e-3, density=2500.0, seed=1)
-    fluid = Fluid(1000.0, 1e-3, Permeability(), order=order, dt=SPAN, spacing=2e-3)
+    fluid = Fluid(1000.0, 1e-3, Permeability(), order=order, dt=SPAN, spacing=3e-3)
     contact = gm.Contact(stiffness=1.5e4 * size, restitution=0.6, friction=0.3)
     return gm.Simulation(gm.Model(box, contact, fluid=fluid), grains)
 
