@@ -226,13 +226,13 @@ def test_film(moving, tmp_path, monkeypatch):
     shades = film.frames[0].size
     film.frames += [Image.new("RGB", shades, c) for c in ("red", "green", "blue")]
     assert shades[0] % 2 == shades[1] % 2 == 0
-    with Image.open(film.strip(tmp_path / "x.png", count=2)) as strip:
+    with Image.open(film.strip(str(tmp_path / "x.png"), count=2)) as strip:
         assert strip.size == (2 * shades[0], shades[1])
         # The first and the last.
         right = strip.convert("RGB").getpixel((strip.width - 1, 0))
     assert right[2] > 200 > 50 > right[0]
     monkeypatch.setattr(plot, "installed", lambda name: None)
-    written = film.save(tmp_path / "x.y")
+    written = film.save(str(tmp_path / "x.y"))
     assert written.suffix == ".gif"
     with Image.open(written) as gif:
         assert (gif.n_frames, gif.size) == (4, shades)

@@ -354,8 +354,9 @@ class Film:
         image = Image.open(full).convert("RGB")
         self.frames.append(image.crop((0, 0, image.width // 2 * 2, image.height // 2 * 2)))
 
-    def strip(self, path: Path, count: int = 5) -> Path:
+    def strip(self, path: str | Path, count: int = 5) -> Path:
         """Write some of the frames side by side as a PNG file; returns its path."""
+        path = Path(path)
         if not self.frames:
             raise InputError("film: there are no frames, pass it to run(observe=...)")
         chosen = np.linspace(0, len(self.frames) - 1, min(count, len(self.frames)))
@@ -367,13 +368,13 @@ class Film:
         wide.quantize(256, Image.Quantize.MAXCOVERAGE).save(path, optimize=True)
         return path
 
-    def save(self, path: Path, rate: int = 15) -> Path:
+    def save(self, path: str | Path, rate: int = 15) -> Path:
         """Write the frames as a film: MP4 where ffmpeg is installed, else GIF.
 
         Parameters
         ----------
-        path : Path
-            Its suffix is replaced by the one that fits.
+        path : str or Path
+            Its suffix is replaced by the one that fits: read what was written from the result.
         rate : int
             Frames per second.
 
@@ -389,7 +390,7 @@ class Film:
         """
         if not self.frames:
             raise InputError("film: there are no frames, pass it to run(observe=...)")
-        program = installed("ffmpeg")
+        path, program = Path(path), installed("ffmpeg")
         if program is None:
             path = path.with_suffix(".gif")
             first, *rest = [image.quantize(64) for image in self.frames]
