@@ -64,6 +64,13 @@ def test_one_value_or_one_for_each_particle(name):
         Particles([[0.0, 0.0], [3.0, 0.0]], **given)
 
 
+def test_text_is_no_number():
+    with pytest.raises(InputError, match="diameter: '2 mm' is no number"):
+        Particles([[0, 0]], "2 mm")
+    with pytest.raises(InputError, match=r"particle centres: .* is no number"):
+        Particles([["a", 0]], 1.0)
+
+
 def test_particles_copy_and_freeze_what_they_get():
     x = np.array([[1.0, 1.0], [2.0, 2.0]])
     particles = Particles(x, [0.5, 1.5], density=7.0)

@@ -5,6 +5,7 @@ import pytest
 
 import grainmesh as gm
 from grainmesh.closures import ClosureWarning, HexagonalLattice, SquareLattice
+from grainmesh.permeability import percent
 
 
 @pytest.mark.parametrize("porosity", [0.5, 0.8])
@@ -72,6 +73,19 @@ def test_bad_words_are_refused(words, message):
     box, discs = gm.arrange.random(10, porosity=0.6, diameter=1.0, seed=1)
     with pytest.raises(gm.InputError, match=message):
         gm.permeability(box, discs, **words)
+
+
+def test_the_box_comes_first():
+    box, discs = gm.arrange.square(2, 2, porosity=0.7, diameter=1.0)
+    with pytest.raises(gm.InputError, match="the box first"):
+        gm.permeability(discs, box)
+
+
+@pytest.mark.parametrize(
+    ("error", "text"), [(1.0, "100 %"), (0.0012, "0.12 %"), (0.0, "0 %"), (np.nan, "-")]
+)
+def test_errors_are_written_without_powers_of_ten(error, text):
+    assert percent(error) == text
 
 
 def test_fewer_than_three_discs_have_no_mean_gap():

@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from io import TextIOWrapper
+from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast, get_args
 
@@ -207,7 +208,7 @@ def run(
             tell("" if quiet else "arranging the particles")
             begun = found.simulation()
         plan = about.until, about.every, about.frames, about.cuts, about.probes
-        record(begun, out, *plan, text=found.text, source=found.path, shown=not quiet, log=log)
+        record(begun, out, *plan, shown=not quiet, log=log)
     _report(out)
     print(out)
 
@@ -626,10 +627,12 @@ def _write(out: Path, box: Box, particles: Particles, results: Sequence[Permeabi
 
 def _show(file: Path, results: Sequence[Permeability], told: Sequence[str]) -> None:
     """The table on stdout, and the notes under it that were not told as warnings."""
+    from grainmesh.permeability import percent
+
     first = results[0]
     print(
         f"{file}: {first.n} discs, mean diameter {first.diameter:.4g} m, "
-        f"porosity {first.porosity:.4f}, gap {first.gap:.4g}"
+        f"porosity {first.porosity:.4f}, gap {'-' if isnan(first.gap) else f'{first.gap:.4g}'}"
     )
     table = Table(box=SIMPLE_HEAD)  # fits 80 columns; the whole tensor is in --json
     for title in ("method", "K/d²", "error", "Kxx (m²)", "Kyy (m²)", "dofs", "seconds"):
@@ -638,12 +641,13 @@ def _show(file: Path, results: Sequence[Permeability], told: Sequence[str]) -> N
         table.add_row(
             r.method,
             f"{r.normalised:.4g}",
-            f"{100 * r.error:.2g} %",
+            percent(r.error),
             *(f"{k:.3g}" for k in r.tensor.diagonal()),
             f"{r.dofs}",
             f"{r.seconds:.2g}",
         )
     Console().print(table)
+    print("K/d² is that of the mean of Kxx and Kyy, d the mean diameter.")
     for r in results:
         for note in r.notes:
             if note not in told:

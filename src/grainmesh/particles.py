@@ -37,8 +37,8 @@ class Particles:
     Raises
     ------
     InputError
-        If a value is not finite, a diameter or density not positive, a shape wrong, or there is
-        no particle at all.
+        If a value is no number or not finite, a diameter or density not positive, a shape wrong,
+        or there is no particle at all.
     """
 
     x: Float
@@ -46,7 +46,7 @@ class Particles:
     density: Float = 1000.0  # type: ignore[assignment]
 
     def __init__(self, x: ArrayLike, diameter: ArrayLike, density: ArrayLike = 1000.0) -> None:
-        centres = np.array(x, dtype=float)
+        centres = _numbers("particle centres", x)
         if centres.ndim != 2 or centres.shape[1] != 2 or len(centres) == 0:
             raise InputError(f"particle centres need shape (n, 2) with n > 0, got {centres.shape}")
         if not np.isfinite(centres).all():
@@ -55,7 +55,7 @@ class Particles:
         centres.setflags(write=False)
         object.__setattr__(self, "x", centres)
         for name, values in (("diameter", diameter), ("density", density)):
-            given = np.asarray(values, dtype=float)
+            given = _numbers(name, values)
             if given.ndim != 0 and given.shape != (len(centres),):
                 raise InputError(f"{name} needs one value or {len(centres)}, got {given.shape}")
             array = np.array(np.broadcast_to(given, (len(centres),)))
@@ -96,6 +96,18 @@ class Particles:
     def select(self, keep: NDArray[np.bool_]) -> Particles:
         """The particles where `keep`, a boolean array of shape (n,), holds."""
         return Particles(self.x[keep], self.diameter[keep], self.density[keep])
+
+
+def _numbers(name: str, values: ArrayLike) -> Float:
+    """A copy as floats; text with a unit is for case files."""
+    try:
+        return np.array(values, dtype=float)
+    except (TypeError, ValueError):
+        text = repr(values)
+        shown = text if len(text) <= 40 else "what was given"
+        raise InputError(
+            f"{name}: {shown} is no number or array of numbers: give SI units"
+        ) from None
 
 
 def close_pairs(box: Box, particles: Particles, gap: float) -> NDArray[np.int64]:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import hypot, nan
+from math import hypot, isfinite, isnan, nan
 from time import perf_counter
 from typing import Any, Literal, get_args
 
@@ -85,10 +85,10 @@ class Permeability:
         (xx, _), (_, yy) = self.tensor
         return (
             f"Permeability ({self.method}): K/d² = {self.normalised:.4g} ± "
-            f"{100 * self.error:.2g} %, Kxx = {xx:.3g} m², Kyy = {yy:.3g} m²; "
+            f"{percent(self.error)}, Kxx = {xx:.3g} m², Kyy = {yy:.3g} m²; "
             f"{self.n} discs, d = {self.diameter:.4g} m, porosity {self.porosity:.4f}, "
-            f"gap {self.gap:.4g}; {self.dofs} unknowns, {self.seconds:.2g} s"
-            + "".join(f"; {note}" for note in self.notes)
+            f"gap {'-' if isnan(self.gap) else f'{self.gap:.4g}'}; {self.dofs} unknowns, "
+            f"{self.seconds:.2g} s" + "".join(f"; {note}" for note in self.notes)
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -103,6 +103,13 @@ class Permeability:
     def normalised(self) -> float:
         """λ = tr(K) / 2 / d²."""
         return float(np.trace(self.tensor)) / 2.0 / self.diameter**2
+
+
+def percent(error: float) -> str:
+    """A relative error with two digits, without a power of ten; "-" for what is not finite."""
+    if not isfinite(error):
+        return "-"
+    return f"{100 * error:.0f} %" if error >= 0.1 else f"{100 * error:.2g} %"
 
 
 def permeability(
@@ -143,8 +150,11 @@ def permeability(
     Raises
     ------
     InputError
-        Unknown method, or discs that no method can use (see `particles.settle`).
+        No box, no particles, unknown method, or discs that no method can use (see
+        `particles.settle`).
     """
+    if not (isinstance(box, Box) and isinstance(particles, Particles)):
+        raise InputError("permeability takes the box first, then the particles")
     if method not in METHODS:
         raise InputError(f"method '{method}' unknown: use one of {', '.join(METHODS)}")
     if walls not in get_args(resolved.Walls):
