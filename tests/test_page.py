@@ -161,6 +161,7 @@ def test_numbers_are_written_as_people_write_them():
 
     assert markup.number(-1.5e-7) == "−1.5·10<sup>−7</sup>"
     assert [markup.number(v) for v in (0.0, 12.3456, 1234.0)] == ["0", "12.35", "1234"]
+    assert markup.scale(-4.6e-22, 3.0, "Pa", "viridis").startswith("0<i")
     assert [markup.metres(v) for v in (2.0, 0.0125, 7e-6, 3e-9)] == [
         "2 m", "12.5 mm", "7 µm", "3 nm",
     ]  # fmt: skip

@@ -61,7 +61,8 @@ def png(figure: Figure, when: str) -> str:
 
 
 def scale(low: float, high: float, unit: str, colours: str) -> str:
-    """A bar of the colours from low to high."""
+    """A bar of the colours from low to high; of an end that is only round-off, 0."""
+    low, high = (0.0 if abs(end) < 1e-12 * (high - low) else end for end in (low, high))
     steps = ",".join(map(to_hex, colormaps[colours](np.linspace(0.0, 1.0, 9))))
     bar = f'<i style="background:linear-gradient(to right,{steps})"></i>'
     return f"{number(low)}{bar}{number(high)} {unit}"

@@ -277,6 +277,7 @@ def _pictures(run: Run) -> str:
     box, found = run.simulation.model.box, []
     beside = 1 if _is_wide(box) else len(run.frames)
     width = min((COLUMN - GAP * (beside - 1)) / beside, TALLEST * box.width / box.height)
+    width = max(np.floor(width), 1.0)  # a pixel too many, and two columns do not fit
     grains = [Particles(discs.points, 2.0 * discs.fields["radius"]) for discs, _ in run.frames]
     when = [f"{discs.t:.3g} s" for discs, _ in run.frames]
     flows = [
