@@ -93,7 +93,7 @@ def test_what_cannot_be_shown_is_refused_in_one_line(folder, tmp_path, capsys, m
     assert main(["show", str(folder)]) == 2
     error = capsys.readouterr().err
     assert "no_such_package" in error
-    assert "grainmesh[view]" in error
+    assert "pip install -e '.[view]'" in error
 
 
 def test_of_a_permeability_the_picture_is_named(tmp_path, capsys):

@@ -147,7 +147,7 @@ def _candidates(image: Float, low: float, high: float, known: Discs) -> Discs:
         from skimage.feature import match_template, peak_local_max
     except ImportError:
         raise InputError(
-            "finding fibres needs scikit-image: pip install 'grainmesh[images]'"
+            "finding fibres needs scikit-image: in a clone, pip install -e '.[images]' brings it"
         ) from None
     places, radii, scores = [known.c], [known.r], [np.full(len(known.r), np.inf)]
     count = 1 + ceil(np.log(high / low) / np.log(STEP)) if high > low else 1

@@ -118,7 +118,7 @@ def serve(
     missing = [name for name in NEEDED if find_spec(name) is None]
     if missing:
         raise InputError(
-            f"the viewer needs {', '.join(missing)}: pip install 'grainmesh[view]' brings it"
+            f"the viewer needs {', '.join(missing)}: in a clone, pip install -e '.[view]' brings it"
         )
     server = _server(Frames(Path(folder)), Path(folder).resolve().name)
     server.controller.on_server_ready.add(
