@@ -143,7 +143,7 @@ def append(path: Path, *frames: Frame) -> None:
         ) from None
 
 
-def times(path: Path) -> Float:
+def times(path: str | Path) -> Float:
     """Times of the frames [s], (f,).
 
     Raises
@@ -151,12 +151,12 @@ def times(path: Path) -> Float:
     InputError
         If there is no such file or it is damaged.
     """
-    with _reading(path) as root:
+    with _reading(Path(path)) as root:
         found: Float = root["Steps/Values"][: root["Steps"].attrs["NSteps"]]
         return found
 
 
-def read(path: Path, number: int) -> Frame:
+def read(path: str | Path, number: int) -> Frame:
     """A frame by its number, from 0, or from -1 backwards.
 
     Raises
@@ -164,7 +164,7 @@ def read(path: Path, number: int) -> Frame:
     InputError
         If there is no such file or frame, or it is damaged.
     """
-    with _reading(path) as root:
+    with _reading(Path(path)) as root:
         steps = root["Steps"]
         count = int(steps.attrs["NSteps"])
         if not -count <= number < count:
