@@ -74,7 +74,7 @@ def folder(tmp_path_factory):
     """A run in a folder, with a fluid whose inflow is not in the checkpoint."""
     folder = tmp_path_factory.mktemp("page") / "bed"
     given = case.parse(WET.format(title=json.dumps(NASTY)))
-    record.record(given.simulation(), folder, given.run.until, given.run.every, text=given.text)
+    record.record(given.simulation(), folder, given.run.until, given.run.every)
     page.write(folder)
     return folder
 

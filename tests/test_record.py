@@ -172,7 +172,12 @@ def test_a_run_goes_on_for_longer(undisturbed, file, tmp_path):
     assert main(["run", str(file), "--out", str(out), "--quiet", "--until", "0.016"]) == 0
     assert "until = 0.016" in (out / "case.toml").read_text()
     assert main(["resume", str(out), "--quiet", "--until", "0.024"]) == 0
-    record.resume(out)  # nothing is left to do
+    before = {path: path.read_bytes() for path in out.iterdir()}
+    with pytest.warns(UserWarning, match=r"done already at t = 0\.024"):
+        record.resume(out)
+    with pytest.raises(gm.InputError, match=r"the run has reached t = 0\.024.* later --until"):
+        record.resume(out, 0.016)
+    assert {path: path.read_bytes() for path in out.iterdir()} == before
     table = history.read(out)
     whole = history.read(undisturbed).sel(t=slice(0.0, table.t[-1]))
     assert (table.t == whole.t).all()
@@ -264,6 +269,7 @@ def test_the_log_may_be_elsewhere(tmp_path):
         ({"frames": np.inf}, "frames = inf s must be positive"),
         ({"cuts": 0}, "cuts = 0 must be at least 1"),
         ({"probes": [1.0]}, "probes must be places"),
+        ({"probes": [[0.001, 0.001], [1.0, 0.0]]}, r"\(1, 0\) m is outside of the box"),
     ],
 )
 def test_plans_that_make_no_sense_are_refused(tmp_path, plan, said):
@@ -285,6 +291,22 @@ def test_a_run_that_fails_keeps_its_last_good_state(tmp_path, capsys):
         record.record(gm.Simulation(model, grains), tmp_path, 0.1, 0.001)
     assert "failed: " in (tmp_path / record.LOG).read_text()
     assert gm.resume(tmp_path, force=model.force).t >= 0.01
+
+
+def test_a_run_that_fails_at_once_is_not_in_the_way(file, tmp_path):
+    begun = case.read(file, ["fluid.sides.top=no-slip"])
+    (tmp_path / "notes").touch()
+    with pytest.raises(gm.RunError, match="nothing is kept"):
+        record.record(begun.simulation(), tmp_path, 0.01)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes"]
+
+
+def test_a_case_goes_on_from_python_as_the_page_says(file, tmp_path):
+    record.record(case.read(file).simulation(), tmp_path, until=0.002)
+    assert (tmp_path / record.CASE).read_text() == CASE
+    assert record.resume(tmp_path, 0.004).t == pytest.approx(0.004, abs=1e-4)
+    times = vtkhdf.times(str(tmp_path / vtkhdf.FLOW))
+    assert vtkhdf.read(str(tmp_path / vtkhdf.FLOW), -1).t == times[-1]
 
 
 FULL = """

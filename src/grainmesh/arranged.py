@@ -89,9 +89,12 @@ class Loose(_Drawn):
         if box is None:
             raise InputError("box.size is missing: loose particles need it")
         part, corner = self._part(box)
-        found = arrange.loose(
-            part, self.number, diameter=self.diameter, gap=self.gap, seed=self.seed
-        )
+        try:
+            found = arrange.loose(
+                part, self.number, diameter=self.diameter, gap=self.gap, seed=self.seed
+            )
+        except InputError as fault:
+            raise InputError(str(fault).replace("reduce n,", "reduce number,")) from None
         return box, Particles(found.x + corner, found.diameter, self.density)
 
 

@@ -9,6 +9,7 @@ A case has a section ``run`` (particles that move) or ``permeability`` (particle
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -78,7 +79,10 @@ class Case(Section):
     @model_validator(mode="after")
     def _one_job(self) -> Case:
         if (self.run is None) == (self.permeability is None):
-            raise InputError("a case needs a section [run] or [permeability], one of them")
+            raise InputError(
+                "a case needs a section [run] or [permeability], one of them"
+                + ("; run.until, or --until, is for [run]" if self.run else "")
+            )
         if self.run is not None and self.contact is None:
             raise InputError(
                 "contact: missing; particles that move need [contact] with a stiffness"
@@ -161,10 +165,12 @@ class Case(Section):
         box, particles, held = self.arrangement()
         model = self.model(box)
         fixed = np.arange(len(particles)) >= len(particles) - held
-        with self._naming():
+        with self._naming(), _worded(len(particles) - held):
             particles = self._prepared(model, particles, fixed)
             start = self.start
-            return Simulation(model, particles, start.velocity, start.spin, fixed=fixed)
+            begun = Simulation(model, particles, start.velocity, start.spin, fixed=fixed)
+        begun.about = {"case": self._text, "source": str(self._path)}
+        return begun
 
     def resume(self, folder: str | Path) -> Simulation:
         """The simulation of this case saved in a folder.
@@ -383,6 +389,25 @@ def _refuse_far(box: Box, particles: Particles) -> None:
         raise InputError(
             f"particle {i} is {what}, the box {box.width:.3g} x {box.height:.3g} m: check the unit"
         )
+
+
+@contextmanager
+def _worded(first: int) -> Iterator[None]:
+    """Let refusals speak of keys and sections; fixed particles are those from `first` on."""
+
+    def named(pair: re.Match[str]) -> str:
+        i, j = map(int, pair.groups())
+        if j < first:
+            return pair[0]
+        one = f"[particles] {i}" if i < first else f"[fixed] {i - first}"
+        return f"{one} and [fixed] {j - first} overlap"
+
+    try:
+        yield
+    except InputError as fault:
+        said = str(fault).replace("grainmesh.relax(model, particles)", "start.relax = true")
+        said = said.replace("give one side an Outlet()", 'make one side an "outlet"')
+        raise InputError(re.sub(r"particles (\d+) and (\d+) overlap", named, said)) from None
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from grainmesh.domain import SIDES
+from grainmesh.domain import SIDES, Box
 from grainmesh.errors import InputError
 
 if TYPE_CHECKING:
@@ -114,13 +114,13 @@ def more(simulation: Simulation, probes: ArrayLike = ()) -> dict[str, float]:
     return found
 
 
-def places(probes: ArrayLike) -> Float:
+def places(probes: ArrayLike, box: Box | None = None) -> Float:
     """Places of probes as (k, 2) [m].
 
     Raises
     ------
     InputError
-        If they are not.
+        If they are not, or lie outside of a box that is given.
     """
     try:
         found = np.asarray(probes, dtype=float)
@@ -129,6 +129,12 @@ def places(probes: ArrayLike) -> Float:
     found = found.reshape(-1, 2) if found.size == 0 else found
     if found.ndim != 2 or found.shape[1] != 2 or not np.isfinite(found).all():
         raise InputError("probes must be places [[x, y], ...] in metres")
+    for x, y in found:
+        if box is not None and not (0.0 <= x <= box.width and 0.0 <= y <= box.height):
+            raise InputError(
+                f"run.probes: ({x:g}, {y:g}) m is outside of the box, {box.width:g} x "
+                f"{box.height:g} m: move it in, or drop it"
+            )
     return found
 
 

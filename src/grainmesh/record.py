@@ -17,6 +17,7 @@ import platform
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
@@ -106,8 +107,6 @@ def record(
     frames: float | None = None,
     cuts: int = 1,
     probes: ArrayLike = (),
-    text: str = "",
-    source: str | Path = "",
     shown: bool = False,
     log: str | Path | None = None,
 ) -> Simulation:
@@ -116,15 +115,13 @@ def record(
     Parameters
     ----------
     begun : Simulation
-        At time 0.
+        At time 0; that of a case (`Case.simulation`) brings the text for ``case.toml``.
     folder : path
         Made if need be: ``case.toml``, ``run.log``, ``environment.json`` (versions, machine, plan,
         seconds), ``checkpoint.h5`` and the one before, ``history.nc``, ``discs.vtkhdf`` and, with a
         fluid, ``flow.vtkhdf``.
     until, every, frames, cuts, probes
         See `Plan`; every is a hundredth of until if not given, frames is every.
-    text, source : str, path
-        The case in TOML, and where it was read.
     shown : bool
         Show how far it is on stderr.
     log : path, optional
@@ -138,10 +135,10 @@ def record(
     Raises
     ------
     InputError
-        If the folder holds a run or cannot be written, a value is out of its range, or the disk is
-        full; the last checkpoint is whole.
+        If the folder holds a run or cannot be written, a value is out of its range, a probe is
+        outside of the box, or the disk is full; the last checkpoint is whole.
     RunError
-        If the run cannot go on; the last good state is saved.
+        If the run cannot go on; the last good state is saved, if it is later than the start.
     Stopped
         After Ctrl-C or SIGTERM, when the step is done and saved. A second one ends it at once.
     """
@@ -156,7 +153,9 @@ def record(
                 f"{folder}: holds a run already: go on with it (grainmesh resume {folder}), or "
                 "choose another folder"
             )
+    history.places(plan.probes, begun.model.box)
     prove_writable(folder, FILES)
+    text, source = (begun.about.get(name, "") for name in ("case", "source"))
     begun.about = {"plan": asdict(plan), "case": text}
     begun.history = [begun.measure()]
     begun.history[0] |= history.more(begun, plan.probes)
@@ -166,7 +165,15 @@ def record(
             _write(folder / CASE, text)
         _write(folder / ENVIRONMENT, _json(_environment(plan, source)))
     begun.save(folder)
-    return _go(begun, folder, shown, log)
+    try:
+        return _go(begun, folder, shown, log)
+    except RunError:
+        if begun.step == 0:  # nothing to go on from, and in the way of the next run
+            for name in (*FILES, checkpoint.OLD):
+                (folder / name).unlink(missing_ok=True)
+            with suppress(OSError):  # other files are in it
+                folder.rmdir()
+        raise
 
 
 def resume(
@@ -181,14 +188,14 @@ def resume(
     ----------
     folder : path
     until : float, optional
-        Another time to reach [s].
+        Another time to reach [s]. A run that is done already is left as it is, with a warning.
     shown, log
         As of `record`.
 
     Raises
     ------
     InputError
-        If there is no run, or its files are damaged; then as `record`.
+        If there is no run, its files are damaged, or it has passed `until`; then as `record`.
     """
     folder = Path(folder)
     begun = _resumed(folder)
@@ -198,7 +205,16 @@ def resume(
             "Python goes on from it"
         )
     plan = Plan(**begun.about["plan"])
-    begun.about["plan"] = asdict(replace(plan, until=plan.until if until is None else until))
+    plan = replace(plan, until=plan.until if until is None else until)
+    last = _last(begun, plan)
+    if last < begun.step:
+        raise InputError(f"{folder}: the run has reached t = {begun.t:.6g} s: give a later --until")
+    begun.about["plan"] = asdict(plan)
+    if last == begun.step and _complete(begun, folder, plan):
+        warnings.warn(
+            f"{folder}: done already at t = {begun.t:.6g} s, --until goes on", stacklevel=2
+        )
+        return begun
     return _go(begun, folder, shown, log)
 
 
@@ -219,10 +235,23 @@ def _resumed(folder: Path) -> Simulation:
         ).resume(folder)
 
 
+def _complete(run: Simulation, folder: Path, plan: Plan) -> bool:
+    """Whether all files of a run were written to its end."""
+    with suppress(InputError):
+        ended = float(history.read(folder).t[-1]) == run.t
+        return ended and _environment_of(folder).get("plan") == asdict(plan)
+    return False
+
+
+def _last(run: Simulation, plan: Plan) -> int:
+    """The step at which a plan ends."""
+    return ceil(plan.until / run.dt - 1e-6)
+
+
 def _go(run: Simulation, folder: Path, shown: bool, log: str | Path | None) -> Simulation:
     """From the present state to the end of the plan."""
     plan = Plan(**run.about["plan"])
-    last = ceil(plan.until / run.dt - 1e-6)
+    last = _last(run, plan)
     output = _Output(run, folder, plan, Path(log) if log else folder / LOG)
     with _signals() as caught, output:
         output.begin(last)
@@ -244,7 +273,8 @@ def _go(run: Simulation, folder: Path, shown: bool, log: str | Path | None) -> S
             output.end()
             if isinstance(why, RunError):
                 output.log(f"failed: {why}")
-                raise RunError(f"{why}; the last good state is in {folder}") from None
+                kept = f"the last good state is in {folder}" if run.step else "nothing is kept"
+                raise RunError(f"{why}; {kept}") from None
             output.log(f"stopped by signal {why.signal} at t = {run.t:.6g} s")
             raise Stopped(
                 f"stopped at t = {run.t:.6g} s; go on with: grainmesh resume {folder}", why.signal
