@@ -171,6 +171,9 @@ def test_a_typo_in_every_key_of_every_starter(name, tmp_path, capsys):
         ("run.every='1 ns'", "every = 1e-09 s makes over"),
         ("start.velocity=[1]", "start.velocity: has too few values"),
         ("permeability.tol=1e-3", "a case needs a section [run] or [permeability]"),
+        ("fixed={arrange='file',file='x',unit='1 kg'}", "fixed.unit: '1 kg' is of the wrong kind"),
+        ("fixed={arrange='file',file=3}", "fixed.file: 3 must be text"),
+        ("fixed={arrange='places',places=[[0,0]],diameter=-1}", "fixed.diameter: -1 must be"),
         ("fluid.viscosity", "must be section.key=value"),
         ("title=\udcff", "must be section.key=value"),
         ("run.until.x=3", "run.until is no section"),
@@ -320,6 +323,25 @@ def test_fixed_particles_and_a_start():
     assert found.fixed.tolist() == [False] * 8 + [True]
     assert found.velocity[:-1] == pytest.approx(np.tile([0.01, 0.0], (8, 1)), abs=1e-4)
     assert (found.velocity[-1] == 0.0).all()
+
+
+def test_grains_in_fixed_ones_are_named_by_their_sections():
+    fixed = "fixed={arrange='places',places=[[1e-3,7e-3],[1e-3,1e-3]],diameter='1 mm'}"
+    for more in ("title=''", "start.settle='1 ms'"):
+        with pytest.raises(
+            InputError, match=r"\[particles\] 0 and \[fixed\] 1 overlap.*start.relax"
+        ):
+            case.parse(SMALL, "c.toml", [fixed, more]).simulation()
+    with pytest.raises(InputError, match="reduce number, "):
+        case.parse(SMALL, "c.toml", ["particles.number=500"]).simulation()
+
+
+def test_one_method_needs_no_list():
+    text = STARTERS["permeability"]
+    one = case.parse(text, "c.toml", ["permeability.method=resolved"])
+    assert one.permeability.method == ["resolved"]
+    assert "did you mean 'resolved'?" in refused(text, "permeability.method=resolve")
+    assert "--until, is for [run]" in refused(text, "run.until=3")
 
 
 def test_settled_and_relaxed_at_the_start():

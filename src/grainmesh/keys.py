@@ -178,15 +178,18 @@ def first_mistake(fault: ValidationError, data: dict[str, Any]) -> str:
 
 def _where(loc: tuple[int | str, ...], data: Any) -> str:
     """The path of a key, without the names of variants that pydantic puts in between."""
-    path = ""
+    path, entered = "", True
     for part in loc:
         inside = isinstance(data, dict) and part in data
+        if entered and isinstance(data, dict) and part in (data.get("arrange"), data.get("kind")):
+            entered = False  # a variant, though a key may have its name: arrange = "file"
+            continue
         if isinstance(data, list) and isinstance(part, int) and part < len(data):
             path, inside = f"{path}[{part}]", True
         elif inside:
             path = f"{path}.{part}" if path else str(part)
         if inside:
-            data = data[part]
+            data, entered = data[part], True
     return path
 
 

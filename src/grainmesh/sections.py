@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from grainmesh.closures import LAWS
 from grainmesh.domain import SIDES, Box
@@ -171,7 +171,13 @@ class PermeabilitySection(Section):
     method: Annotated[
         list[Annotated[str, one_of(("resolved", "mesoscale", "microstructure"), "method")]],
         Field(min_length=1),
-    ] = Field(["resolved", "mesoscale", "microstructure"], description="One or more methods.")
+        BeforeValidator(
+            lambda given: [given] if isinstance(given, str) else given,
+            json_schema_input_type=str | list[str],
+        ),
+    ] = Field(
+        ["resolved", "mesoscale", "microstructure"], description="One method, or a list of them."
+    )
     law: Annotated[str, one_of(LAWS, "law")] = Field(
         "microstructural", description="Drag law of mesoscale and microstructure."
     )
