@@ -116,6 +116,15 @@ OFF = {
         (*SLOW, "particles.number=1", "particles.diameter='4 mm'", "fluid.spacing='1 cm'"),
         "wider than the box",
     ),
+    "nowhere to go": (
+        (*SLOW, "fluid.sides.bottom={kind='inflow',velocity=[0,1e-6],ramp=[[0,0],[1,1]]}"),
+        "flow into the box at t = 0.01 s and nothing the other way",
+    ),
+    "still fluid at a moving wall": (
+        (*SLOW, "walls.top.velocity=[1e-3,0]", "fluid.sides.top={kind='no-slip',speed=2e-3}"),
+        "walls.top.velocity: the fluid does not move with the wall",
+    ),
+    "probe outside": ((*SLOW, "run.probes=[[1,0]]"), "run.probes: (1, 0) m is outside"),
     "no gaps": (
         (
             "particles={arrange='places',places=[[4e-3,4e-3]],diameter=1e-3}",
@@ -137,6 +146,20 @@ def test_what_is_off_is_said(name, tmp_path, capsys):
     assert reason in err
     assert all(line.startswith("off: ") for line in err.splitlines())
     assert "porosity" in out
+
+
+def test_inflows_that_add_up_to_zero_and_walls_told_twice_are_not_off():
+    numbers, reasons = told(
+        SMALL,
+        *SLOW,
+        "gravity=[0,0]",
+        "fluid.sides.left={kind='inflow',velocity=[1e-6,0]}",
+        "fluid.sides.right={kind='inflow',velocity=[1e-6,0]}",
+        "fluid.sides.top={kind='no-slip',speed=1e-3}",
+        "walls.top.velocity=[1e-3,0]",
+    )
+    assert reasons == ()
+    assert "settling velocity" not in numbers
 
 
 def test_a_flow_that_only_lifts_the_bed_is_not_off():

@@ -26,9 +26,10 @@ from grainmesh.closures import LAWS, ClosureWarning
 from grainmesh.domain import SIDES, Box
 from grainmesh.drag import Bed, Drag, Permeability
 from grainmesh.errors import InputError
+from grainmesh.history import places
 from grainmesh.particles import Particles, settle
 from grainmesh.sections import PermeabilitySection
-from grainmesh.stream import FluidSection, Inflow
+from grainmesh.stream import FluidSection, Inflow, NoSlip, Outlet
 
 if TYPE_CHECKING:
     from grainmesh.simulation import Simulation
@@ -151,6 +152,12 @@ def _moving(case: Case) -> Preview:
     simulation = case.simulation()
     model, particles, free = simulation.model, simulation.particles, ~simulation.fixed
     found = _Found()
+    try:
+        places(case.run.probes, model.box)
+    except InputError as fault:
+        found.reasons.append(str(fault))
+    if case.fluid is not None and not model.box.periodic:
+        _sides(case, case.fluid, model.box, found)
     found.add("particles", len(particles), "", f"{np.count_nonzero(~free)} of them fixed")
     found.add("porosity", _porosity(model.box, particles), "", "of the whole box")
     moving = particles.select(free) if free.any() else particles
@@ -237,12 +244,14 @@ def _regime(
     )
     archimedes = fluid.density * abs(excess) * g * d**3 / fluid.viscosity**2
     found.add("Ar", archimedes, "", "Archimedes number")
+    moved = (getattr(fluid.sides, name) for name in SIDES)
+    w = max(w, *(abs(side.speed) if isinstance(side, NoSlip) else 0.0 for side in moved))
     length = _flow_step(fluid, moving, model.gravity, w, case.run.until if case.run else inf)
     found.add("flow dt", TAKEN * length, "s", "step of the flow, estimate")
     found.add("b dt/m", b * TAKEN * length / mass, "", "drag number")
     if settled:
         found.add("U_mf", rate, "m/s", "superficial, minimum fluidisation")
-    else:
+    elif g > 0.0:
         found.add("settling velocity", rate, "m/s", "superficial, at the bed porosity")
     if isinstance(law, Permeability) and reynolds > CREEPING:
         one = np.array([reynolds])
@@ -320,6 +329,37 @@ def _inflows(fluid: FluidSection) -> list[tuple[str, tuple[float, float]]]:
             most = max((factor for _, factor in side.ramp), key=abs, default=1.0)
             found.append((name, (most * side.velocity[0], most * side.velocity[1])))
     return found
+
+
+def _sides(case: Case, fluid: FluidSection, box: Box, found: _Found) -> None:
+    """What the sides of the fluid cannot be, or hardly are meant to be."""
+    sides = {name: getattr(fluid.sides, name) for name in SIDES}
+    inflows = {name: side for name, side in sides.items() if isinstance(side, Inflow)}
+    assert case.run is not None
+    if not any(isinstance(side, Outlet) for side in sides.values()):
+        times = {0.0, case.run.until} | {t for side in inflows.values() for t, _ in side.ramp}
+        for t in sorted(t for t in times if 0.0 <= t <= case.run.until):
+            volumes = []
+            for name, side in inflows.items():
+                axis, end = divmod(SIDES.index(name), 2)
+                factor = float(np.interp(t, *np.transpose(side.ramp))) if side.ramp else 1.0
+                inwards = factor * side.velocity[axis] * (-1.0 if end else 1.0)
+                volumes.append(inwards * float(box.size[1 - axis]))
+            if abs(sum(volumes)) > 1e-9 * sum(map(abs, volumes)):
+                found.reasons.append(
+                    f"fluid.sides: {sum(volumes):.3g} m2/s flow into the box at t = {t:g} s and "
+                    'nothing the other way: make one side an "outlet", or let inflows add up to 0'
+                )
+                break
+    for number, name in enumerate(SIDES):
+        wall, side = getattr(case.walls, name), sides[name]
+        moved = wall.velocity[1 - number // 2] if wall else 0.0
+        speed = side.speed if isinstance(side, NoSlip) else 0.0
+        if moved not in (0.0, speed) and (side is None or isinstance(side, NoSlip)):
+            found.reasons.append(
+                f"walls.{name}.velocity: the fluid does not move with the wall: give "
+                f'fluid.sides.{name} = {{ kind = "no-slip", speed = {moved:g} }}'
+            )
 
 
 def _fluidised(
