@@ -8,6 +8,7 @@ import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
+from time import sleep
 
 import numpy as np
 import pytest
@@ -374,6 +375,7 @@ def test_ctrl_c_of_a_process(tmp_path):
         ) as running,
         pipe.open("w"),
     ):  # returns once the program has opened the other end
+        sleep(0.5)  # a signal between its last look and the read would wake nobody
         running.send_signal(signal.SIGINT)
         _, err = running.communicate(timeout=30)
     assert (running.returncode, err) == (130, "interrupted\n")

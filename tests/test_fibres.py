@@ -228,7 +228,7 @@ def test_an_image_too_large_to_open_is_refused(tmp_path):
 
 def test_missing_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "skimage.feature", None)
-    with pytest.raises(gm.InputError, match=r"pip install 'grainmesh\[images\]'"):
+    with pytest.raises(gm.InputError, match=r"pip install -e '\.\[images\]'"):
         fibres.find(picture(np.array([[20.0, 20.0]]), np.array([6.0]), 40, 40), 12)
 
 
