@@ -28,6 +28,7 @@ from xarray import Dataset
 
 from grainmesh.canvas import frame, save, tiled, tiled_triangles
 from grainmesh.domain import Box
+from grainmesh.element import lattice
 from grainmesh.errors import InputError
 from grainmesh.fields import Sample
 from grainmesh.fluid import Mesoscale
@@ -211,21 +212,11 @@ def sample(flow: Resolved | Mesoscale, axis: int = 0) -> tuple[Float, NDArray[np
     """
     mesh = flow.mesh
     parts = int(np.clip(np.sqrt(FINEST / mesh.ne), 1, 8))
-    i, j = np.meshgrid(np.arange(parts + 1), np.arange(parts + 1), indexing="ij")
-    inside = i + j <= parts
-    number = np.full(i.shape, -1)
-    number[inside] = np.arange(inside.sum())
-    local = np.stack([i[inside], j[inside]], axis=1) / parts
-    up, down = i + j < parts, i + j < parts - 1
-    a, b = i[up], j[up]
-    small = [np.stack([number[a, b], number[a + 1, b], number[a, b + 1]], axis=1)]
-    a, b = i[down], j[down]
-    small.append(np.stack([number[a + 1, b], number[a + 1, b + 1], number[a, b + 1]], axis=1))
-    pattern = np.concatenate(small)
-    rule = IntegrationRule(points=local.tolist(), weights=[1.0] * len(local))
+    nodes, pattern = lattice(parts)
+    rule = IntegrationRule(points=nodes[:, 1:].tolist(), weights=[1.0] * len(nodes))
     at = mesh.MapToAllElements(rule, VOL)
     points = np.column_stack([np.ravel(c(at)) for c in (x, y)])
-    triangles = np.arange(mesh.ne)[:, None, None] * len(local) + pattern
+    triangles = np.arange(mesh.ne)[:, None, None] * len(nodes) + pattern
     velocity = np.asarray(flow.velocity[axis](at)).reshape(-1, 2)
     return points * flow.scale, triangles.reshape(-1, 3), velocity
 
