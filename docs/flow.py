@@ -344,8 +344,7 @@ def _set(space: Any, value: Any, side: Any = None) -> Float:
 
 def preconditioner(op: Operator, inside: Mask) -> Callable[[Float], Float]:
     """A factor of the present matrix."""
-    names = np.arange(len(op.free))
-    return op.factor(names, inside).preconditioner(np.where(inside, names, -1))
+    return op.factor(inside).solve
 
 
 def settle(op: Operator, loads: Float, most: int = 20) -> None:

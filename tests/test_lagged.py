@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 from ngsolve import Mesh, unit_square
 
 from flows import flow
-from grainmesh import integrals, lagged
-from grainmesh.lagged import gmres, mended
+from grainmesh.lagged import Lagged, gmres, mended
 
 
 def operator(order=2, change=0.0, seed=0):
@@ -39,7 +38,12 @@ def applied(op):
 def preconditioner(op, names, known=None):
     """A factor with these names, for these unknowns."""
     known = op.sought if known is None else known
-    return op.factor(names).preconditioner(np.where(known, names, -1))
+    return lagged(op).preconditioner(np.where(known, names, -1))
+
+
+def lagged(op):
+    """A factor whose unknowns are named by their numbers."""
+    return Lagged(op.factor(), op.sought, np.arange(len(op.free)))
 
 
 @pytest.mark.parametrize("kind", ["definite", "indefinite", "not symmetric"])
@@ -84,39 +88,10 @@ def test_gmres_has_nothing_to_do_below_its_tolerance():
     assert not z.any()
 
 
-@pytest.mark.parametrize("many", [0, 10**9])  # all threads, or one
-@pytest.mark.parametrize("order", [1, 2, 3])
-def test_factor_is_the_inverse(order, many, monkeypatch):
-    monkeypatch.setattr(lagged, "MANY", many)
-    op, rng = operator(order), np.random.default_rng(1)
-    names = rng.permutation(10 * len(op.free))[: len(op.free)]
-    P, sought = preconditioner(op, names), op.sought
-    r = sought * rng.normal(size=len(sought))
-    z = P(r)
-    assert not z[~sought].any()
-    exact = np.linalg.solve(dense(op), r[sought])
-    assert np.linalg.norm(z[sought] - exact) < 1e-5 * np.linalg.norm(exact)
-
-
-@pytest.mark.parametrize("order", [1, 2, 3])
-def test_entries_add_up_to_the_matrix(order):
-    op = operator(order)
-    kept = np.flatnonzero(op.sought)
-    number = np.full(len(op.free), -1)
-    number[kept] = np.arange(len(kept))
-    rows = op.rows[:, : op.outer]
-    i, j, values, diagonal = integrals.entries(op.K, rows, number, len(kept))
-    found = np.zeros((len(kept), len(kept)))
-    np.add.at(found, (i, j), values)
-    exact = dense(op)
-    assert np.allclose(found, np.tril(exact), rtol=0.0, atol=1e-13 * np.abs(exact).max())
-    assert np.allclose(diagonal, np.diag(exact), rtol=0.0, atol=1e-13 * np.abs(exact).max())
-
-
 def test_unknowns_may_be_numbered_anew():
     op, rng = operator(), np.random.default_rng(2)
     names = np.arange(len(op.free))
-    factor, r = op.factor(names), op.sought * rng.normal(size=len(op.free))
+    factor, r = lagged(op), op.sought * rng.normal(size=len(op.free))
     known = np.where(op.sought, names, -1)
     z = factor.preconditioner(known)(r)
     order = rng.permutation(len(r))
@@ -126,7 +101,7 @@ def test_unknowns_may_be_numbered_anew():
 def test_unknowns_that_the_factor_does_not_have_stay_0_and_it_forgets_what_is_gone():
     op, rng = operator(), np.random.default_rng(3)
     names = np.arange(len(op.free))
-    factor, r = op.factor(names), op.sought * rng.normal(size=len(op.free))
+    factor, r = lagged(op), op.sought * rng.normal(size=len(op.free))
     known = np.where(op.sought, names, -1)
     new = rng.random(len(r)) < 0.2
     z = factor.preconditioner(np.where(new & op.sought, known + 10**6, known))(r)

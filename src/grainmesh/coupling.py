@@ -52,7 +52,7 @@ from grainmesh import integrals
 from grainmesh.drag import Bed
 from grainmesh.errors import RunError
 from grainmesh.fields import LEAST_POROSITY, Discs, Fields, Kernel
-from grainmesh.medium import Inflow, Outlet
+from grainmesh.medium import Inflow
 
 Float = NDArray[np.float64]
 
@@ -225,8 +225,7 @@ class Coupling(Fields):
         h = np.sqrt(self.box.area / len(op.area))
         resist = fluid.viscosity / h**2 + float(b.sum()) / self.box.area
         unit = h * (c / dt * fluid.density + resist)
-        floating = self.box.periodic or not fluid.names(Outlet)
-        residual = self.solver.solve(op, new, f, unit, fluid.tolerance, floating)
+        residual = self.solver.solve(op, new, f, unit, fluid.tolerance)
         clock("solve")
         self.du = op.u - was
         self.extra = residual[: op.split].reshape(-1, 2) * dt / c

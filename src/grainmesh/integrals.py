@@ -157,36 +157,6 @@ def product(K: Float, rows: Int, x: Float, outer: int) -> Float:
 
 
 @njit(cache=True)
-def entries(K: Float, rows: Int, number: Int, count: int) -> tuple[Any, Any, Float, Float]:
-    """Entries i >= j of the sum of matrices (t, n, n), some more than once, and its diagonal.
-
-    `number` (N,) is -1 for unknowns that are left out.
-    """
-    n, size = rows.shape[1], 0
-    local, diagonal = np.empty(n, np.int64), np.zeros(count)
-    for e in range(len(rows)):
-        known = 0
-        for i in range(n):
-            known += number[rows[e, i]] >= 0
-        size += known * (known + 1) // 2
-    row, column, value = np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size)
-    size = 0
-    for e in range(len(rows)):
-        for i in range(n):
-            local[i] = number[rows[e, i]]
-        for i in range(n):
-            if local[i] >= 0:
-                diagonal[local[i]] += K[e, i, i]
-                for j in range(i + 1):
-                    if local[j] >= 0:
-                        row[size] = max(local[i], local[j])
-                        column[size] = min(local[i], local[j])
-                        value[size] = K[e, i, j]
-                        size += 1
-    return row, column, value, diagonal
-
-
-@njit(cache=True)
 def weighted(corner: Int, rows: Int, area: Float, eps: Float, u: Float, M: Float) -> Float:
     """∫ε u φ_i, (size, c)."""
     found = np.zeros_like(u)
@@ -387,5 +357,5 @@ def at_sides(
 
 __all__ = [
     "at_sides", "averages", "completed", "condense", "condensed", "convected", "crossing",
-    "entries", "gradients", "matrices", "passing", "product", "roughness", "sources", "weighted",
+    "gradients", "matrices", "passing", "product", "roughness", "sources", "weighted",
 ]  # fmt: skip

@@ -3,10 +3,9 @@ r"""A factor kept from step to step as preconditioner of GMRES, while matrix and
     [ A   Bᵀ ] [u]   [f]
     [ B  -S  ] [p] = [g]
 
-An indefinite factor cannot precondition MINRES; GMRES takes it. A zero on the diagonal is no
-pivot, so the pressures get a little of their own stiffness, as in `grainmesh.saddle`. Unknowns are
-known by name (`grainmesh.carry`). On triangles that have come since the factor was made a second,
-small system is solved for what the factor leaves,
+An indefinite factor cannot precondition MINRES; GMRES takes it. Unknowns are known by name
+(`grainmesh.carry`). On triangles that have come since the factor was made (`grainmesh.fronts`) a
+second, small system is solved for what the factor leaves,
 
     z = P r,    z += Rᵀ (R K Rᵀ)⁻¹ R (r - K z),                                               (1)
 
@@ -16,103 +15,51 @@ with R the restriction to their unknowns. Without it each flip costs iterations 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
-from typing import Any
 
 import numpy as np
-from ngsolve import GetNumThreads, SetNumThreads, TaskManager
-from ngsolve.la import SparseMatrixd
 from numba import njit
 from numpy.typing import NDArray
-from pyngcore import Array_D_S, Array_I_S
 from scipy.linalg import solve_triangular
 
-from grainmesh import integrals
-from grainmesh.saddle import PIVOT
+from grainmesh.fronts import Fronts
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Apply = Callable[[Float], Float]
 
-#: Factors of more unknowns are made by all threads, and no two of those equal by round-off.
-MANY = 40_000
-
 
 class Lagged:
-    """The factor of a matrix, for unknowns with names.
+    """A factor, for unknowns with names.
 
     Parameters
     ----------
-    K : (t, n, n)
-        Symmetric matrices of triangles; what is more than `rows` has is left out.
-    rows : (t, n)
-        Their unknowns.
-    inside : (N,) bool
-        Unknowns to solve for.
-    first : int
-        Number of the first pressure.
+    factor : Fronts
+    sought : (N,) bool
+        Unknowns that it solves for.
     names : (N,) int
         Names of all unknowns.
     """
 
-    def __init__(self, K: Float, rows: Int, inside: Mask, first: int, names: Int) -> None:
-        kept = np.flatnonzero(inside)
-        number = np.full(len(inside), -1)
-        number[kept] = np.arange(len(kept))
-        i, j, values, diagonal = integrals.entries(K, rows, number, len(kept))
-        # About ``PIVOT`` diag(B diag(A)⁻¹ Bᵀ) for the pressures.
-        split = int(np.searchsorted(kept, first))
-        coupling = (i >= split) & (j < split)
-        own = np.bincount(
-            i[coupling], values[coupling] ** 2 / diagonal[j[coupling]], minlength=len(kept)
-        )
-        at = np.arange(split, len(kept), dtype=np.int32)
-        i, j = np.append(i, at), np.append(j, at)
-        values = np.append(values, -PIVOT * own[split:])
-        made = SparseMatrixd.CreateFromCOO(
-            _array(Array_I_S, i), _array(Array_I_S, j), _array(Array_D_S, values), *2 * [len(kept)]
-        )
-        many = _threads()
-        SetNumThreads(many if len(kept) > MANY else 1)
-        try:
-            with TaskManager():
-                self._inverse = made.Inverse(inverse="sparsecholesky")
-        finally:
-            SetNumThreads(many)
-        self._f, self._x = made.CreateColVector(), made.CreateColVector()
+    def __init__(self, factor: Fronts, sought: Mask, names: Int) -> None:
+        kept = np.flatnonzero(sought)
         order = np.argsort(names[kept])
-        self._names, self._place = names[kept][order], order
+        self._factor, self._size = factor, len(sought)
+        self._place, self._names = kept[order], names[kept][order]
 
     def preconditioner(self, names: Int) -> Apply:
         """P of Eq. (1) for unknowns of these names; 0 for those that it does not have."""
         place = np.searchsorted(self._names, names).clip(max=len(self._names) - 1)
         known = np.flatnonzero(self._names[place] == names)
         place = self._place[place[known]]
-        f, x = self._f.FV().NumPy(), self._x.FV().NumPy()
 
         def apply(r: Float) -> Float:
-            z = np.zeros_like(r)
-            f[:] = 0.0
+            f, z = np.zeros(self._size), np.zeros_like(r)
             f[place] = r[known]
-            self._x.data = self._inverse * self._f  # by one thread: memory is what it waits for
-            z[known] = x[place]
+            z[known] = self._factor.solve(f)[place]
             return z
 
         return apply
-
-
-@lru_cache
-def _threads() -> int:
-    """How many threads NGSolve has been told to use; it says so only while it uses them."""
-    with TaskManager():
-        return int(GetNumThreads())
-
-
-def _array(kind: Any, values: NDArray[Any]) -> Any:
-    found = kind(len(values))
-    found.NumPy()[:] = values
-    return found
 
 
 def mended(first: Apply, apply: Apply, patch: Apply) -> Apply:

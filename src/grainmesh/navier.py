@@ -56,7 +56,8 @@ from grainmesh.element import (
     rule,
     slopes,
 )
-from grainmesh.lagged import Lagged, gmres, norm
+from grainmesh.fronts import Fronts
+from grainmesh.lagged import gmres, norm
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -91,6 +92,8 @@ class Operator:
     ----------
     keys, pressure_keys : Keys
         Where the unknowns live.
+    corners : (t, 3, 2)
+        Where the corners of the triangles are [m].
     u, p : (size, 2), (size,)
         Unknowns of velocity [m/s] and pressure [Pa].
     eps, inertia, E, S : (m,)
@@ -103,6 +106,8 @@ class Operator:
         Viscosity besides mu [Pa s].
     free : (N,)
         Unknowns, u_x and u_y in turn and then p, that are solved for.
+    floating : bool
+        Nothing gives the pressure a level.
     """
 
     def __init__(
@@ -143,6 +148,7 @@ class Operator:
             ],
             axis=1,
         )
+        self.floating = level is None or not level.any()
         self.free = np.zeros(self.split + other.size, dtype=bool)
         self.free[self.rows] = True
         self.within = np.zeros_like(self.free)  # the inner unknowns
@@ -154,7 +160,8 @@ class Operator:
 
     def at(self, points: Float) -> None:
         """Move the points to (m, 2) [m]."""
-        self.gradient, self.area = integrals.gradients(self.topology.places(points))
+        self.corners = self.topology.places(points)
+        self.gradient, self.area = integrals.gradients(self.corners)
 
     def load(self, **fields: Float) -> None:
         """Set linear fields to values (m,) or (m, 2) at the points."""
@@ -281,13 +288,19 @@ class Operator:
         """Unknowns that are free and not inside of triangles (N,)."""
         return self.free & ~self.within
 
-    def factor(self, names: Int, inside: Mask | None = None) -> Lagged:
-        """A factor of the matrix for the unknowns sought, or those `inside`, by their names."""
-        rows = self.rows[:, : self.outer]
-        if inside is None:
-            return Lagged(self.K, rows, self.sought, self.split, names)
-        there = inside[rows].any(axis=1)
-        return Lagged(self.K[there], rows[there], inside, self.split, names)
+    def factor(self, inside: Mask | None = None) -> Fronts:
+        """A factor of the matrix for the unknowns sought, or those `inside`.
+
+        Where nothing gives the pressure a level, the first one is taken as 0.
+        """
+        rows, some, sought = self.rows[:, : self.outer], None, self.sought
+        if inside is not None:
+            some, sought = np.flatnonzero(inside[rows].any(axis=1)), inside
+        pressure = self.split + np.flatnonzero(self.free[self.split :])
+        if self.floating and sought[pressure].all():
+            sought = sought.copy()
+            sought[pressure[0]] = False
+        return Fronts(self.K, rows, sought, self.split, self.corners, some)
 
     @property
     def names(self) -> Int:
@@ -315,8 +328,7 @@ class Operator:
         self.load(inertia=self.density * self.eps / lasts, E=self.eps, S=none, dE=none, dS=none)
         self.load(g=np.zeros_like(self.g))
         self.assemble()
-        names, sought, found = np.arange(len(self.free)), self.sought, []
-        precondition = self.factor(names).preconditioner(np.where(sought, names, -1))
+        sought, found, precondition = self.sought, [], self.factor().solve
         for force in forces:
             self.load(f=force)
             whole = self.source()

@@ -67,15 +67,14 @@ class Solver:
             on = replace(now.topology, **parts)
             op = Operator(on, recipe["points"], now.order, now.viscosity, now.density)
             op.load(**{name: recipe[name] for name in FIELDS})
+            op.floating = now.floating
             op.assemble()
             self._make(op, recipe["points"])
         for name in NUMBERS:
             setattr(self, name, numbers[name])
         return self
 
-    def solve(
-        self, op: Operator, points: Float, f: Float, unit: float, tolerance: float, floating: bool
-    ) -> Float:
+    def solve(self, op: Operator, points: Float, f: Float, unit: float, tolerance: float) -> Float:
         """Solve for the unknowns of an operator, from those that it has.
 
         Parameters
@@ -90,8 +89,8 @@ class Solver:
             In which pressures are counted, so that both kinds of equations weigh alike.
         tolerance : float
             Residual over right-hand side.
-        floating : bool
-            Nothing else gives the pressure a level: its mean is made 0.
+
+        Where nothing gives the pressure a level, its mean is made 0.
 
         Returns
         -------
@@ -105,7 +104,9 @@ class Solver:
         """
         sought = op.sought
         scale = np.where(np.arange(len(sought)) < op.split, 1.0, unit) * sought
-        level = op.split + np.flatnonzero(op.topology.used) if floating else np.empty(0, np.int64)
+        level = (
+            op.split + np.flatnonzero(op.topology.used) if op.floating else np.empty(0, np.int64)
+        )
         f, x = op.condensed(f), op.x
         r = scale * (f - op.apply(x))
         size = max(norm(scale * f), norm(r))
@@ -141,7 +142,8 @@ class Solver:
 
     def _make(self, op: Operator, points: Float) -> None:
         on = op.topology
-        self._factor, self._on, self._gradient = op.factor(op.names), on, op.gradient.copy()
+        self._factor = Lagged(op.factor(), op.sought, op.names)
+        self._on, self._gradient = on, op.gradient.copy()
         self._order = np.argsort(on.numbers)
         self.factors += 1
         self.recipe = {"triangles": on.triangles, "shifts": on.shifts, "points": points.copy()}
@@ -164,8 +166,7 @@ class Solver:
         inside = np.zeros_like(sought)
         inside[op.rows[near[on.corners].any(axis=1)]] = True  # and one ring around them
         inside &= sought
-        number = np.arange(len(inside))
-        patch = op.factor(number, inside).preconditioner(np.where(inside, number, -1))
+        patch = op.factor(inside).solve
         return mended(first, op.apply, patch), float(inside.sum() / sought.sum())
 
 
