@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from ngsolve import IfPos, Integrate, x, y
 
-from grainmesh.carry import Finder, Keys, Topology, Transfer, along_edge
+from grainmesh.carry import Finder, Keys, Topology, Transfer
 from grainmesh.domain import Box
 from grainmesh.element import PAIRS, element
 from grainmesh.mesh import flow_mesh
@@ -36,7 +36,8 @@ def gathered(keys, grid, exact):
 
 
 def carry(mesh, old, new, values):
-    return Transfer(old.topology, new.topology, mesh.points).fields(old, new, values)
+    (found,) = Transfer(old.topology, new.topology, mesh.points).fields(old, new, values)
+    return found
 
 
 def carry_load(mesh, old, new, values):
@@ -114,7 +115,7 @@ def test_and_across_the_sides_of_a_periodic_box(order, jump):
         where = np.mod(on.places(mesh.points).mean(axis=1) / mesh.box.size - jump, 1.0)
         reach = 0.3  # longer than any two edges
         far = ((where > reach) & (where < 1.0 - reach)).all(axis=1)
-        new_ones = ~np.isin(on.numbers, old.topology.faces)
+        new_ones = ~np.isin(on.numbers, old.topology.numbers)
         fresh += int((far & new_ones).sum())
         assert np.sqrt(error[far].max()) < 1e-11
     assert fresh > 3
@@ -131,10 +132,10 @@ def test_what_stays_keeps_its_values_and_nothing_is_carried_twice(order, periodi
     mesh.mend()
     new = keys_of(mesh, order)
     found = carry(mesh, old, new, values)
-    stay = np.isin(new.topology.numbers, old.topology.faces)
+    stay = np.isin(new.topology.numbers, old.topology.numbers)
     assert 0 < stay.sum() < len(stay)
-    same = np.searchsorted(old.topology.faces, new.topology.numbers[stay])
-    back = np.argsort(old.topology.numbers)[same]
+    order = np.argsort(old.topology.numbers)
+    back = order[np.searchsorted(old.topology.numbers, new.topology.numbers[stay], sorter=order)]
     assert np.array_equal(found[new.rows[stay]], values[old.rows[back]])
     # Columns know nothing of each other, and the map is linear.
     alone = carry(mesh, old, new, values[:, :1] + 3.0 * values[:, 1:])
@@ -182,7 +183,7 @@ def test_unknowns_of_edges_are_those_of_polynomials_on_them(order):
     at = grid.mesh(*np.clip(place, 1e-12, mesh.box.size - 1e-12).reshape(-1, 2).T)
     values = np.asarray(exact(at)).reshape(len(ends), order + 1, 1)
     row = np.column_stack([ends, keys.of_edges(edge[:, None])])
-    found, of_field = along_edge(keys.element, values), gathered(keys, grid, exact)
+    found, of_field = keys.element.from_edge @ values, gathered(keys, grid, exact)
     assert np.allclose(found, of_field[row], rtol=0.0, atol=1e-9)
 
 
@@ -196,7 +197,8 @@ def test_edges_and_triangles_are_known_by_their_corners(periodic):
     assert np.array_equal(on.used, mesh.in_use)
     ends = np.stack(np.divmod(on.edges, m), axis=1)
     assert np.array_equal(ends[on.edges_of_triangles], on.corners[:, PAIRS])
-    assert np.array_equal(on.faces, np.unique(on.corners @ [m * m, m, 1]))
+    assert len(np.unique(on.edges)) == len(on.edges)
+    assert np.array_equal(on.numbers, on.corners @ [m * m, m, 1])
     # Corners where they are, up to a period of the box for all three.
     way = on.places(mesh.points) - mesh.points[on.corners]
     if periodic:

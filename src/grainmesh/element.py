@@ -51,6 +51,25 @@ class Element:
         return self.shape(self.nodes)
 
     @cached_property
+    def from_values(self) -> Float:
+        """Unknowns from values at the nodes (l, l)."""
+        return np.asarray(np.linalg.inv(self.to_values), np.float64)
+
+    @cached_property
+    def ends(self) -> Int:
+        """Shape functions that are not 0 on the edges 01, 02 and 12, its ends first (3, k + 1)."""
+        per_edge = self.counts[0]
+        own = 3 + np.arange(3)[:, None] * per_edge + np.arange(per_edge)
+        return np.concatenate([PAIRS, own], axis=1)
+
+    @cached_property
+    def from_edge(self) -> Float:
+        """Unknowns of an edge, its ends first, from values at k + 1 even places (k + 1, k + 1)."""
+        s = np.linspace(0.0, 1.0, self.order + 1)
+        shape = self.shape(np.stack([1.0 - s, s, np.zeros_like(s)], axis=1))
+        return np.asarray(np.linalg.inv(shape[:, self.ends[0]]), np.float64)
+
+    @cached_property
     def _coefficients(self) -> Float:
         """Those of monomials from unknowns (l, l)."""
         inside = 0.9 * self.nodes + 0.1 / 3.0  # NGSolve finds no triangle for a corner
