@@ -5,8 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from ngsolve import IfPos, Integrate, x, y
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
-from grainmesh.carry import Finder, Keys, Topology, Transfer
+from grainmesh.carry import Finder, Keys, Topology, Transfer, regions
 from grainmesh.domain import Box
 from grainmesh.element import PAIRS, element
 from grainmesh.mesh import flow_mesh
@@ -140,6 +142,53 @@ def test_what_stays_keeps_its_values_and_nothing_is_carried_twice(order, periodi
     # Columns know nothing of each other, and the map is linear.
     alone = carry(mesh, old, new, values[:, :1] + 3.0 * values[:, 1:])
     assert np.allclose(alone, found[:, :1] + 3.0 * found[:, 1:], rtol=0.0, atol=1e-11)
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+@pytest.mark.parametrize("order", ORDERS)
+def test_it_does_not_matter_in_which_order_triangles_stand(order, periodic):
+    rng = np.random.default_rng(1)
+    mesh, _ = next(made_to_change(periodic, 1))
+    old = keys_of(mesh, order)
+    values = rng.normal(size=(old.size, 2))
+    values[: old.topology.count][~old.topology.used] = 0.0
+    mesh.mend()
+    new = keys_of(mesh, order)
+
+    def shuffled(keys):
+        on, row = keys.topology, rng.permutation(len(keys.topology.triangles))
+        turn = (rng.integers(0, 3, len(row))[:, None] + np.arange(3)) % 3
+        row = row[:, None]
+        on = Topology(on.box, on.count, on.triangles[row, turn], on.shifts[row, turn])
+        return Keys(on, keys.element)
+
+    by_name = np.argsort(new.names)
+    expected = carry(mesh, old, new, values)[by_name]
+    for target in (new, shuffled(new)):
+        for source in (old, shuffled(old)):
+            there = np.empty_like(values)
+            there[np.argsort(source.names)] = values[np.argsort(old.names)]
+            found = carry(mesh, source, target, there)[np.argsort(target.names)]
+            assert np.allclose(found, expected, rtol=0.0, atol=1e-11)
+
+
+@given(seed=st.integers(0, 10**6), periodic=st.booleans(), share=st.floats(0.0, 0.1))
+@settings(max_examples=15, deadline=None)
+def test_regions_are_what_hangs_together(seed, periodic, share):
+    mesh, _ = next(made_to_change(periodic, seed))
+    old = keys_of(mesh, 1).topology
+    mesh.mend()
+    new, m = keys_of(mesh, 1).topology, len(mesh.points)
+    changed = np.random.default_rng(seed).random(m) < share
+    points, lowest = regions(old, new, changed)
+    corners = np.concatenate([old.corners, new.corners])
+    corners = corners[changed[corners].any(axis=1)]
+    links = coo_array((np.ones(2 * len(corners)), corners[:, [0, 1, 1, 2]].reshape(-1, 2).T),
+                      shape=(m, m))  # fmt: skip
+    label = connected_components(links, directed=False)[1]
+    assert np.array_equal(points, np.unique(corners))
+    first = {part: point for point, part in reversed(list(enumerate(label)))}
+    assert lowest.tolist() == [first[part] for part in label[points]]
 
 
 @given(seed=st.integers(0, 10**6), order=st.sampled_from(ORDERS), periodic=st.booleans())

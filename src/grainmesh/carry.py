@@ -4,7 +4,8 @@ The unknowns of a continuous field of order k belong to vertices, edges (k - 1 e
 A vertex is known by its number, an edge by the numbers of its two ends, a triangle by those of its
 three corners. What is there before and after a change of the triangulation keeps its unknowns; only
 on edges and triangles that are new, and at vertices that came in, the field is interpolated from
-the triangles that were there before.
+the triangles that were there before. Edges are numbered as the triangles meet them, in their order,
+so that the triangulation alone says which unknown is whose.
 
 The basis (`grainmesh.element`) is that of NGSolve, which numbers the edges of a mesh by (lower,
 higher) vertex and triangles as they were given, and whose shape functions are fixed by the order of
