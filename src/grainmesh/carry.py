@@ -121,39 +121,32 @@ class Keys:
     element: Element
 
     @property
+    def first(self) -> int:
+        """The first unknown inside of a triangle."""
+        per_edge, on = self.element.counts[0], self.topology
+        return on.count + (len(on.edges) * per_edge if per_edge else 0)
+
+    @property
     def size(self) -> int:
         """Number of unknowns."""
-        per_edge, per_face = self.element.counts
-        on = self.topology
-        edges = len(on.edges) * per_edge if per_edge else 0
-        return on.count + edges + len(on.triangles) * per_face
+        return self.first + len(self.topology.triangles) * self.element.counts[1]
 
     @cached_property
     def rows(self) -> Int:
         """Unknowns of each triangle, in the order of its element (t, l)."""
         per_edge, per_face = self.element.counts
         on = self.topology
-        parts = [on.corners]
-        if per_edge:
-            parts.append(self.of_edges(on.edges_of_triangles))
-        if per_face:
-            parts.append(self.of_faces(np.arange(len(on.corners))))
-        return np.concatenate(parts, axis=1) if len(parts) > 1 else on.corners
+        if not (per_edge or per_face):
+            return on.corners
+        edges = on.edges_of_triangles if per_edge else on.corners
+        found: Int = _numbered(on.corners, edges, on.count, self.first, per_edge, per_face)
+        return found
 
     def of_edges(self, edge: Int) -> Int:
         """Unknowns of edges (..., b), from the lower end on, those of each row in one row."""
         per_edge = self.element.counts[0]
         found = self.topology.count + edge[..., None] * per_edge + np.arange(per_edge)
         return found.reshape(*edge.shape[:-1], -1)
-
-    def of_faces(self, face: Int) -> Int:
-        """Unknowns of triangles, (c,), (c, per face)."""
-        per_face = self.element.counts[1]
-        return (
-            self.size
-            - (len(self.topology.triangles) - face[:, None]) * per_face
-            + np.arange(per_face)
-        )
 
     @cached_property
     def names(self) -> Int:
@@ -187,7 +180,7 @@ class Keys:
             edge = order[np.searchsorted(on.edges, on.edge(ends), sorter=order)]
             parts.append(self.of_edges(edge[:, None]).ravel())
         if per_face:
-            parts.append(self.of_faces(np.arange(len(on.corners))).ravel())
+            parts.append(np.arange(self.first, self.size))
         return np.concatenate(parts)
 
     def field(self, grid: Grid, values: Float) -> Any:
@@ -247,8 +240,7 @@ class Transfer:
         if per_edge:
             _carried(values, m, self.edge, per_edge, result, m)
         if per_face:
-            first = [keys.size - per_face * len(keys.topology.corners) for keys in (old, new)]
-            _carried(values, first[0], self.face, per_face, result, first[1])
+            _carried(values, old.first, self.face, per_face, result, new.first)
         return result
 
     def fields(self, old: Keys, new: Keys, *fields: Float) -> list[Float]:
@@ -383,18 +375,18 @@ def _found(among: Int, wanted: Int) -> tuple[NDArray[np.bool_], Int]:
 @njit(cache=True)
 def _risen(triangles, shifts, count):  # type: ignore[no-untyped-def]
     """Corners of triangles, rising (t, 3), their shifts (t, 3, 2), and which points these are."""
-    corners, hops = np.empty((len(triangles), 3), np.int64), np.empty((len(triangles), 3, 2))
+    corners, hops = np.empty((len(triangles), 3), np.int64), np.empty_like(shifts)
     used = np.zeros(count, np.bool_)
     for t in range(len(triangles)):
-        for k in range(3):
-            v, j = triangles[t, k], k
-            used[v] = True
-            while j > 0 and corners[t, j - 1] > v:
-                corners[t, j] = corners[t, j - 1]
-                hops[t, j] = hops[t, j - 1]
-                j -= 1
-            corners[t, j] = v
-            hops[t, j, 0], hops[t, j, 1] = shifts[t, k, 0], shifts[t, k, 1]
+        i, j, k = 0, 1, 2
+        i, j = (j, i) if triangles[t, j] < triangles[t, i] else (i, j)
+        j, k = (k, j) if triangles[t, k] < triangles[t, j] else (j, k)
+        i, j = (j, i) if triangles[t, j] < triangles[t, i] else (i, j)
+        for at, end in enumerate((i, j, k)):
+            corners[t, at] = triangles[t, end]
+            used[triangles[t, end]] = True
+            for c in range(2):
+                hops[t, at, c] = shifts[t, end, c]
     return corners, hops, used
 
 
@@ -433,6 +425,20 @@ def _met(corners, count):  # type: ignore[no-untyped-def]
                 following[e], first[a] = first[a], e
             found[t, k] = e
     return number[:size].copy(), found
+
+
+@njit(cache=True)
+def _numbered(corners, edges, count, first, per_edge, per_face):  # type: ignore[no-untyped-def]
+    """`Keys.rows`: of corners, of edges, and of the inside."""
+    found = np.empty((len(corners), 3 + 3 * per_edge + per_face), np.int64)
+    for t in range(len(corners)):
+        for k in range(3):
+            found[t, k] = corners[t, k]
+            for i in range(per_edge):
+                found[t, 3 + k * per_edge + i] = count + edges[t, k] * per_edge + i
+        for i in range(per_face):
+            found[t, 3 + 3 * per_edge + i] = first + t * per_face + i
+    return found
 
 
 @njit(cache=True)
