@@ -214,7 +214,9 @@ class Transfer:
         fresh = np.flatnonzero(self.face < 0)
         there, place = _found(old.triangle(old.corners[rest]), new.triangle(new.corners[fresh]))
         self.face[fresh[there]] = rest[place[there]]
-        self.fresh, self.gone = fresh[~there], np.delete(rest, place[there])
+        left = np.ones(len(rest), dtype=bool)
+        left[place[there]] = False
+        self.fresh, self.gone = fresh[~there], rest[left]
 
     @cached_property
     def edge(self) -> Int:
@@ -368,7 +370,7 @@ def _found(among: Int, wanted: Int) -> tuple[NDArray[np.bool_], Int]:
     if len(among) == 0:
         return np.zeros(len(wanted), dtype=bool), np.zeros(len(wanted), np.int64)
     order = np.argsort(among)
-    place = order[np.searchsorted(among, wanted, sorter=order).clip(max=len(among) - 1)]
+    place = order[np.minimum(np.searchsorted(among, wanted, sorter=order), len(among) - 1)]
     return among[place] == wanted, place
 
 
