@@ -5,8 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from ngsolve import IfPos, Integrate, x, y
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
-from grainmesh.carry import Finder, Keys, Topology, Transfer, along_edge
+from grainmesh.carry import Finder, Keys, Topology, Transfer, regions
 from grainmesh.domain import Box
 from grainmesh.element import PAIRS, element
 from grainmesh.mesh import flow_mesh
@@ -36,7 +38,8 @@ def gathered(keys, grid, exact):
 
 
 def carry(mesh, old, new, values):
-    return Transfer(old.topology, new.topology, mesh.points).fields(old, new, values)
+    (found,) = Transfer(old.topology, new.topology, mesh.points).fields(old, new, values)
+    return found
 
 
 def carry_load(mesh, old, new, values):
@@ -114,7 +117,7 @@ def test_and_across_the_sides_of_a_periodic_box(order, jump):
         where = np.mod(on.places(mesh.points).mean(axis=1) / mesh.box.size - jump, 1.0)
         reach = 0.3  # longer than any two edges
         far = ((where > reach) & (where < 1.0 - reach)).all(axis=1)
-        new_ones = ~np.isin(on.numbers, old.topology.faces)
+        new_ones = ~np.isin(on.numbers, old.topology.numbers)
         fresh += int((far & new_ones).sum())
         assert np.sqrt(error[far].max()) < 1e-11
     assert fresh > 3
@@ -131,14 +134,61 @@ def test_what_stays_keeps_its_values_and_nothing_is_carried_twice(order, periodi
     mesh.mend()
     new = keys_of(mesh, order)
     found = carry(mesh, old, new, values)
-    stay = np.isin(new.topology.numbers, old.topology.faces)
+    stay = np.isin(new.topology.numbers, old.topology.numbers)
     assert 0 < stay.sum() < len(stay)
-    same = np.searchsorted(old.topology.faces, new.topology.numbers[stay])
-    back = np.argsort(old.topology.numbers)[same]
+    order = np.argsort(old.topology.numbers)
+    back = order[np.searchsorted(old.topology.numbers, new.topology.numbers[stay], sorter=order)]
     assert np.array_equal(found[new.rows[stay]], values[old.rows[back]])
     # Columns know nothing of each other, and the map is linear.
     alone = carry(mesh, old, new, values[:, :1] + 3.0 * values[:, 1:])
     assert np.allclose(alone, found[:, :1] + 3.0 * found[:, 1:], rtol=0.0, atol=1e-11)
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+@pytest.mark.parametrize("order", ORDERS)
+def test_it_does_not_matter_in_which_order_triangles_stand(order, periodic):
+    rng = np.random.default_rng(1)
+    mesh, _ = next(made_to_change(periodic, 1))
+    old = keys_of(mesh, order)
+    values = rng.normal(size=(old.size, 2))
+    values[: old.topology.count][~old.topology.used] = 0.0
+    mesh.mend()
+    new = keys_of(mesh, order)
+
+    def shuffled(keys):
+        on, row = keys.topology, rng.permutation(len(keys.topology.triangles))
+        turn = (rng.integers(0, 3, len(row))[:, None] + np.arange(3)) % 3
+        row = row[:, None]
+        on = Topology(on.box, on.count, on.triangles[row, turn], on.shifts[row, turn])
+        return Keys(on, keys.element)
+
+    by_name = np.argsort(new.names)
+    expected = carry(mesh, old, new, values)[by_name]
+    for target in (new, shuffled(new)):
+        for source in (old, shuffled(old)):
+            there = np.empty_like(values)
+            there[np.argsort(source.names)] = values[np.argsort(old.names)]
+            found = carry(mesh, source, target, there)[np.argsort(target.names)]
+            assert np.allclose(found, expected, rtol=0.0, atol=1e-11)
+
+
+@given(seed=st.integers(0, 10**6), periodic=st.booleans(), share=st.floats(0.0, 0.1))
+@settings(max_examples=15, deadline=None)
+def test_regions_are_what_hangs_together(seed, periodic, share):
+    mesh, _ = next(made_to_change(periodic, seed))
+    old = keys_of(mesh, 1).topology
+    mesh.mend()
+    new, m = keys_of(mesh, 1).topology, len(mesh.points)
+    changed = np.random.default_rng(seed).random(m) < share
+    points, lowest = regions(old, new, changed)
+    corners = np.concatenate([old.corners, new.corners])
+    corners = corners[changed[corners].any(axis=1)]
+    links = coo_array((np.ones(2 * len(corners)), corners[:, [0, 1, 1, 2]].reshape(-1, 2).T),
+                      shape=(m, m))  # fmt: skip
+    label = connected_components(links, directed=False)[1]
+    assert np.array_equal(points, np.unique(corners))
+    first = {part: point for point, part in reversed(list(enumerate(label)))}
+    assert lowest.tolist() == [first[part] for part in label[points]]
 
 
 @given(seed=st.integers(0, 10**6), order=st.sampled_from(ORDERS), periodic=st.booleans())
@@ -182,7 +232,7 @@ def test_unknowns_of_edges_are_those_of_polynomials_on_them(order):
     at = grid.mesh(*np.clip(place, 1e-12, mesh.box.size - 1e-12).reshape(-1, 2).T)
     values = np.asarray(exact(at)).reshape(len(ends), order + 1, 1)
     row = np.column_stack([ends, keys.of_edges(edge[:, None])])
-    found, of_field = along_edge(keys.element, values), gathered(keys, grid, exact)
+    found, of_field = keys.element.from_edge @ values, gathered(keys, grid, exact)
     assert np.allclose(found, of_field[row], rtol=0.0, atol=1e-9)
 
 
@@ -196,7 +246,8 @@ def test_edges_and_triangles_are_known_by_their_corners(periodic):
     assert np.array_equal(on.used, mesh.in_use)
     ends = np.stack(np.divmod(on.edges, m), axis=1)
     assert np.array_equal(ends[on.edges_of_triangles], on.corners[:, PAIRS])
-    assert np.array_equal(on.faces, np.unique(on.corners @ [m * m, m, 1]))
+    assert len(np.unique(on.edges)) == len(on.edges)
+    assert np.array_equal(on.numbers, on.corners @ [m * m, m, 1])
     # Corners where they are, up to a period of the box for all three.
     way = on.places(mesh.points) - mesh.points[on.corners]
     if periodic:

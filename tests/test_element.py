@@ -65,7 +65,7 @@ def test_unknowns_of_edges_and_of_the_inside_vanish_elsewhere(one):
     # What continuity from triangle to triangle needs, to round-off.
     k, s = one.order, np.linspace(0.0, 1.0, 9)
     shared = 3 + 3 * (k - 1)
-    assert np.abs(one.shape(np.eye(3))[:, :3] - np.eye(3)).max() < 1e-15
+    assert np.abs(one.shape(np.eye(3))[:, :3] - np.eye(3)).max() < 1e-14
     for row, (a, b) in enumerate(PAIRS):
         edge = np.zeros((len(s), 3))
         edge[:, a], edge[:, b] = 1.0 - s, s

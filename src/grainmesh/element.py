@@ -51,48 +51,76 @@ class Element:
         return self.shape(self.nodes)
 
     @cached_property
+    def from_values(self) -> Float:
+        """Unknowns from values at the nodes (l, l)."""
+        return np.asarray(np.linalg.inv(self.to_values), np.float64)
+
+    @cached_property
+    def ends(self) -> Int:
+        """Shape functions that are not 0 on the edges 01, 02 and 12, its ends first (3, k + 1)."""
+        per_edge = self.counts[0]
+        own = 3 + np.arange(3)[:, None] * per_edge + np.arange(per_edge)
+        return np.concatenate([PAIRS, own], axis=1)
+
+    @cached_property
+    def from_edge(self) -> Float:
+        """Unknowns of an edge, its ends first, from values at k + 1 even places (k + 1, k + 1)."""
+        s = np.linspace(0.0, 1.0, self.order + 1)
+        shape = self.shape(np.stack([1.0 - s, s, np.zeros_like(s)], axis=1))
+        return np.asarray(np.linalg.inv(shape[:, self.ends[0]]), np.float64)
+
+    @cached_property
     def _coefficients(self) -> Float:
         """Those of monomials from unknowns (l, l)."""
         inside = 0.9 * self.nodes + 0.1 / 3.0  # NGSolve finds no triangle for a corner
-        matrix = self._monomials(inside)[0]
+        matrix = self._monomials(inside)
         return np.asarray(np.linalg.solve(matrix, _values_of_basis(self, inside)), np.float64)
 
     def shape(self, places: Float) -> Float:
         """Values of the basis (q, l)."""
-        found: Float = self._monomials(places)[0] @ self._coefficients
+        found: Float = self._monomials(places) @ self._coefficients
         return found
 
     def slope(self, places: Float) -> Float:
         """Derivatives by the second and third barycentric coordinate (q, l, 2)."""
-        d = self._monomials(places)[1]
+        d = self._derivatives(places)
         found: Float = np.einsum("aqn,nl->qla", d[1:] - d[:1], self._coefficients)
         return found
 
-    def _monomials(self, places: Float) -> tuple[Float, Float]:
-        """A basis of the polynomials (q, l), and its three derivatives (3, q, l)."""
-        a, b, c = places.T
+    @cached_property
+    def _powers(self) -> Int:
+        """Those of the three coordinates in each monomial (3, l)."""
         if self.bubble:
-            one, zero = np.ones_like(a), np.zeros_like(a)
-            by = [[one, zero, zero, b * c], [zero, one, zero, a * c], [zero, zero, one, a * b]]
-            values = np.stack([a, b, c, a * b * c], axis=1)
-            return values, np.stack([np.stack(part, axis=1) for part in by])
+            return np.column_stack([np.eye(3, dtype=np.int64), np.ones(3, np.int64)])
         k = self.order
-        p, q = (np.array([pair[i] for pair in _powers(k)]) for i in (0, 1))
-        power = np.stack([p, q, k - p - q])
-        up = places.T[..., None] ** power[:, None]
-        down = power[:, None] * places.T[..., None] ** np.maximum(power - 1, 0)[:, None]
-        first = [down[0] * up[1] * up[2], up[0] * down[1] * up[2], up[0] * up[1] * down[2]]
-        return up.prod(axis=0), np.stack(first)
+        return np.array([(i, j, k - i - j) for i in range(k + 1) for j in range(k + 1 - i)]).T
+
+    def _monomials(self, places: Float) -> Float:
+        """A basis of the polynomials (q, l)."""
+        a, b, c = self._raised(places)
+        return (a * b * c).T
+
+    def _derivatives(self, places: Float) -> Float:
+        """Those of the monomials by the three coordinates (3, q, l)."""
+        (a, b, c), (da, db, dc) = self._raised(places), self._raised(places, 1)
+        return np.swapaxes(np.stack([da * b * c, a * db * c, a * b * dc]), 1, 2)
+
+    def _raised(self, places: Float, less: int = 0) -> list[Float]:
+        """The powers of each coordinate, or their derivatives if one `less`, three of (l, q)."""
+        x = places.T
+        up = np.ones((self.order + 1, *x.shape))
+        for n in range(self.order):
+            up[n + 1] = up[n] * x
+        found = [up[np.maximum(power - less, 0), axis] for axis, power in enumerate(self._powers)]
+        if not less:
+            return found
+        return [power[:, None] * part for power, part in zip(self._powers, found, strict=True)]
 
 
 @lru_cache
 def element(order: int, bubble: bool = False) -> Element:
     """The same element each time: what it has found out is kept."""
     return Element(order, bubble)
-
-
-def _powers(order: int) -> list[tuple[int, int]]:
-    return [(i, j) for i in range(order + 1) for j in range(order + 1 - i)]
 
 
 def lattice(parts: int) -> tuple[Float, Int]:

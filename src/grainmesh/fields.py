@@ -7,11 +7,10 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import coo_array, csr_array
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse import csr_array
 
 from grainmesh import sides
-from grainmesh.carry import Finder, Keys, Topology, Transfer
+from grainmesh.carry import Finder, Keys, Topology, Transfer, regions
 from grainmesh.cells import Diagram
 from grainmesh.domain import SIDES, Box
 from grainmesh.element import element, lattice
@@ -421,16 +420,16 @@ class Fields:
     def _build(self) -> None:
         """Finite elements on the present triangulation."""
         mesh, fluid = self.mesh, self.fluid
-        if self.box.periodic:
-            pairs = np.sort(mesh.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-            pairs = np.unique(pairs, axis=0)
-            if (pairs[:, 0] == pairs[:, 1]).any() or 2 * len(pairs) != 3 * len(mesh.triangles):
-                raise InputError(
-                    "the periodic box holds too few particles for a mesh: repeat it, so that no "
-                    "particle is joined to itself, or to another twice"
-                )
-        self._old = mesh.points.copy()
         on = Topology(self.box, len(mesh.points), mesh.triangles.copy(), mesh.shifts.copy())
+        if self.box.periodic and (
+            2 * len(on.edges) != 3 * len(on.corners)
+            or (on.corners[:, :2] == on.corners[:, 1:]).any()
+        ):
+            raise InputError(
+                "the periodic box holds too few particles for a mesh: repeat it, so that no "
+                "particle is joined to itself, or to another twice"
+            )
+        self._old = mesh.points.copy()
         own = Keys(on, element(fluid.order, fluid.order == 1))
         other = Keys(on, element(max(fluid.order - 1, 1)))
         self._edges = sides.edges_of(self.box, on, mesh.points, mesh.neighbours)
@@ -448,29 +447,32 @@ class Fields:
     def _remesh(self) -> None:
         """Carry all fields to the triangulation that `mesh` has become."""
         old = self.operator
-        old_porosity, m = self.kernel.porosity, len(self.kernel.porosity)
+        old_porosity = self.kernel.porosity
         self._build()
         op = self.operator
         over = Transfer(old.topology, op.topology, self.mesh.points)
-        fields = over.fields(old.keys, op.keys, np.column_stack([old.u, self.du]))
-        op.u[:], self.du = fields[:, :2], fields[:, 2:].copy()
-        op.p[:] = over.fields(old.pressure_keys, op.pressure_keys, old.p[:, None])[:, 0]
-        loads = over.loads(old.keys, op.keys, np.column_stack([self.extra, self.D]))
-        used = op.topology.used
-        lost = np.where(used[:, None], 0.0, loads[:m, 2:])  # of nodes that have left
-        loads[:m][~used] = 0.0
-        changed = np.zeros(m, dtype=bool)
+        keys = old.keys, op.keys
+        op.u, self.du = over.fields(*keys, old.u, self.du)
+        (p,) = over.fields(old.pressure_keys, op.pressure_keys, old.p[:, None])
+        op.p = p[:, 0]
+        self.extra, self.D = (over.loads(*keys, load) for load in (self.extra, self.D))
+        changed = np.zeros(len(old_porosity), dtype=bool)
         changed[op.topology.corners[over.fresh]] = True
         changed[old.topology.corners[over.gone]] = True
-        self.kernel = self._kernel(changed)
+        self.kernel = k = self._kernel(changed)
         self._load_porosity()
         self._set_sides()
-        changed |= np.abs(self.kernel.porosity - old_porosity) > 1e-13
-        weight = self.kernel.porosity * self.kernel.hats * used
+        # Each region that changed keeps its momentum.
+        changed |= np.abs(k.porosity - old_porosity) > 1e-13
+        at, region = regions(old.topology, op.topology, changed)
+        used = op.topology.used[at]
+        lost = np.where(used[:, None], 0.0, self.D[at])  # of nodes that have left
+        self.D[at[~used]] = self.extra[at[~used]] = 0.0
         momentum = op.momentum()
-        missing = np.column_stack([self.Q[:m] - momentum[:m] - loads[:m, :2], lost])
-        loads[:m] += _made_up(old.topology, op.topology, missing, changed, weight)
-        self.extra, self.D = loads[:, :2].copy(), loads[:, 2:].copy()
+        missing = self.Q[at] - momentum[at] - self.extra[at]
+        weight = k.porosity[at] * k.hats[at] * used
+        self.extra[at] += _made_up(region, weight, missing)
+        self.D[at] += _made_up(region, weight, lost)
         self.Q = momentum + self.extra
 
     def _kernel(self, changed: Mask | None = None) -> Kernel:
@@ -536,29 +538,12 @@ def _copied(mesh: Bounded) -> Bounded:
     return replace(mesh, **arrays)
 
 
-def _made_up(old: Topology, new: Topology, missing: Float, changed: Mask, weight: Float) -> Float:
-    """Momentum to add at the points (m, c), so that each region that changed keeps its own.
-
-    Regions are sets of points, linked by edges, whose porosity or triangles have changed, and the
-    corners of all triangles around them; `missing` (m, c) is the momentum that their hats have
-    lost, spread over a region by `weight` (m,).
-    """
-    m = new.count
-    links = [
-        on.corners[changed[on.corners].any(axis=1)][:, [[0, 1], [1, 2]]].reshape(-1, 2)
-        for on in (old, new)
-    ]
-    i, j = np.concatenate(links).T
-    graph = coo_array((np.ones(len(i), np.int8), (i, j)), shape=(m, m))
-    count, region = connected_components(graph, directed=False)
-    inside = np.zeros(m, dtype=bool)
-    inside[i] = inside[j] = True
-    heavy = np.where(inside, weight, 0.0)
-    share = np.divide(
-        heavy, np.bincount(region, heavy, count)[region], where=heavy > 0.0, out=heavy
-    )
-    lost = [np.bincount(region, np.where(inside, part, 0.0), count) for part in missing.T]
-    found: Float = share[:, None] * np.stack(lost, axis=1)[region]
+def _made_up(region: Int, weight: Float, missing: Float) -> Float:
+    """What the points of each region have lost (i, c), spread over all of it by weight (i,)."""
+    total = np.bincount(region, weight, 1)[region]
+    share = np.divide(weight, total, where=weight > 0.0, out=np.zeros_like(weight))
+    lost = [np.bincount(region, part, 1)[region] for part in missing.T]
+    found: Float = share[:, None] * np.stack(lost, axis=1)
     return found
 
 

@@ -46,7 +46,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from grainmesh import integrals
-from grainmesh.carry import Keys, Topology
+from grainmesh.carry import Keys, Topology, unknowns
 from grainmesh.element import (
     Element,
     divergences,
@@ -136,23 +136,15 @@ class Operator:
         self.eps, self.inertia, self.E, self.S, self.dE, self.dS = np.zeros((6, m))
         self.f, self.g, self.w = np.zeros((3, m, 2))
         self.stirred = np.zeros(t)
-        # u of the outer unknowns of a triangle, p, and the rest of u
-        outer, rows = 3 * order, own.rows
-        both = 2 * rows[..., None] + np.arange(2)
-        self.outer = 2 * outer + other.rows.shape[1]
-        self.rows = np.concatenate(
-            [
-                both[:, :outer].reshape(t, -1),
-                self.split + other.rows,
-                both[:, outer:].reshape(t, -1),
-            ],
-            axis=1,
-        )
+        outer, inner = 3 * order, own.rows.shape[1] - 3 * order
+        self.rows = unknowns(own, other, outer)
+        self.outer = self.rows.shape[1] - 2 * inner
         self.floating = level is None or not level.any()
-        self.free = np.zeros(self.split + other.size, dtype=bool)
-        self.free[self.rows] = True
+        self.free = np.ones(self.split + other.size, dtype=bool)
+        self.free[: 2 * m] = np.repeat(topology.used, 2)
+        self.free[self.split : self.split + m] = topology.used
         self.within = np.zeros_like(self.free)  # the inner unknowns
-        self.within[self.rows[:, self.outer :]] = True
+        self.within[self.split - 2 * t * inner : self.split] = True
         for given, at in ((held, slice(None, self.split)), (level, slice(self.split, None))):
             if given is not None:
                 self.free[at] &= ~given.ravel()

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from grainmesh.carry import Keys, Topology, along_edge
+from grainmesh.carry import Keys, Topology
 from grainmesh.domain import SIDES, Box
 from grainmesh.element import PAIRS
 from grainmesh.medium import Fluid, Inflow, NoSlip, Outlet, Slip
@@ -23,7 +23,7 @@ def edges_of(box: Box, on: Topology, points: Float, neighbours: NDArray[Any]) ->
     """The edges of each side of a box with walls; none of a periodic one."""
     if box.periodic:
         return {}
-    t, k = np.nonzero(neighbours < 0)
+    t, k = np.divmod(np.flatnonzero(neighbours < 0), 3)
     which = 2 - (on.corners[t] < on.triangles[t, k][:, None]).sum(axis=1)
     ends, found = points[on.corners[t[:, None], PAIRS[which]]], {}
     for number, side in enumerate(SIDES):
@@ -67,24 +67,22 @@ def given(
         elif isinstance(kind, NoSlip):
             value = np.zeros((len(ends), fluid.order + 1, 2))
             value[..., 1 - SIDES.index(side) // 2] = kind.speed
-            u[unknowns(own, on)] = along_edge(own.element, value)
+            u[unknowns(own, on)] = own.element.from_edge @ value
         elif isinstance(kind, Inflow):
             a, b = points[ends[:, 0], None], points[ends[:, 1], None]
             place = (1.0 - along) * a + along * b  # (b, k + 1, 2)
             volume = kind.at(place.reshape(-1, 2), time).reshape(place.shape)
             eps = (1.0 - along[:, 0]) * porosity[ends[:, :1]] + along[:, 0] * porosity[ends[:, 1:]]
-            u[unknowns(own, on)] = along_edge(own.element, volume / eps[..., None])
+            u[unknowns(own, on)] = own.element.from_edge @ (volume / eps[..., None])
             # All of it, though walls hold the fluid at corners.
-            through[unknowns(own, on)] = along_edge(own.element, volume)
+            through[unknowns(own, on)] = own.element.from_edge @ volume
     return u, p, through
 
 
 def unknowns(keys: Keys, edges: Int) -> Int:
     """Unknowns of the two ends and of the edge, for edges (b, 2) of triangles, (b, k + 1)."""
-    per_edge = keys.element.counts[0]
     t, k = edges.T
-    own = 3 + k[:, None] * per_edge + np.arange(per_edge)
-    found: Int = keys.rows[t[:, None], np.concatenate([PAIRS[k], own], axis=1)]
+    found: Int = keys.rows[t[:, None], keys.element.ends[k]]
     return found
 
 
