@@ -160,6 +160,20 @@ def _values_of_basis(kind: Element, places: Float) -> Float:
 
 
 @lru_cache
+def hats(one: Element) -> Float:
+    """∫λ_c φ_i over a triangle of area 1 (l, 3)."""
+    places, weights = rule(one.degree + 1)
+    return np.ascontiguousarray(np.einsum("q,qc,qi->ic", weights, places, one.shape(places)))
+
+
+@lru_cache
+def tilts(one: Element) -> Float:
+    """∫λ_c ∂_a φ_i over a triangle of area 1 (l, 3, 2)."""
+    places, weights = rule(one.degree)
+    return np.ascontiguousarray(np.einsum("q,qc,qia->ica", weights, places, one.slope(places)))
+
+
+@lru_cache
 def masses(one: Element) -> Float:
     """∫λ_c φ_i φ_j over a triangle of area 1 (l, l, 3)."""
     places, weights = rule(2 * one.degree + 1)
@@ -185,6 +199,6 @@ def divergences(one: Element, other: Element) -> Float:
 
 
 __all__ = [
-    "PAIRS", "Element", "divergences", "edge_rule", "element", "lattice", "masses", "rule",
-    "slopes",
+    "PAIRS", "Element", "divergences", "edge_rule", "element", "hats", "lattice", "masses", "rule",
+    "slopes", "tilts",
 ]  # fmt: skip

@@ -52,9 +52,11 @@ from grainmesh.element import (
     divergences,
     edge_rule,
     element,
+    hats,
     masses,
     rule,
     slopes,
+    tilts,
 )
 from grainmesh.lagged import Lagged, gmres, norm
 
@@ -128,8 +130,11 @@ class Operator:
         own, other = self.keys, self.pressure_keys
         self.split = 2 * own.size
         self.u, self.p = np.zeros((own.size, 2)), np.zeros(other.size)
-        self.eps, self.inertia, self.E, self.S, self.dE, self.dS = np.zeros((6, m))
-        self.f, self.g, self.w = np.zeros((3, m, 2))
+        # What a loop over the triangles needs at a point lies together.
+        self.fields = fields = np.zeros((m, 12))
+        self.w, self.f, self.g = fields[:, :2], fields[:, 6:8], fields[:, 8:10]
+        self.eps, self.inertia, self.E, self.S = fields[:, 2:6].T
+        self.dE, self.dS = fields[:, 10:].T
         self.stirred = np.zeros(t)
         # u of the outer unknowns of a triangle, p, and the rest of u
         outer, rows = 3 * order, own.rows
@@ -165,27 +170,26 @@ class Operator:
 
     def momentum(self) -> Float:
         """∫ρ ε u·v, (size, 2)."""
-        return self.density * self._weighted(self.u)
+        on = self.topology.corners, self.keys.rows, self.area
+        eps, M = self.fields[:, 2:3], masses(self.keys.element)
+        found: Float = integrals.weighted(*on, eps, self.u, M)
+        return self.density * found
 
     def mass(self) -> Float:
         """∫ρ ε v for each component, (size,)."""
-        one = np.zeros((self.keys.size, 1))
-        one[: len(self.eps)] = 1.0
-        return self.density * self._weighted(one)[:, 0]
-
-    def _weighted(self, u: Float) -> Float:
         on = self.topology.corners, self.keys.rows, self.area
-        found: Float = integrals.weighted(*on, self.eps, u, masses(self.keys.element))
-        return found
+        found: Float = integrals.spread(*on, self.eps, hats(self.keys.element), self.keys.size)
+        return self.density * found
 
     def convection(self, e: Float) -> tuple[Float, Float]:
         """C of a velocity e (size, 2), and what of R is not the change of mass (size,)."""
         one = self.keys.element
         places, weight = rule(3 * one.degree)
-        C, drained = integrals.convected(
-            self.topology.corners, self.keys.rows, self.gradient, self.area, self.eps, e, self.w,
+        found = integrals.convected(
+            self.topology.corners, self.keys.rows, self.gradient, self.area, self.fields[:, :3], e,
             places, one.shape(places), one.slope(places), weight,
         )  # fmt: skip
+        C, drained = found[:, :2], found[:, 2]
         if len(self.outlets):  # what flows in has the mean velocity, by Eq. (6)
             velocity, eps, normal, shape = self._at_sides(self.outlets, e, 3 * self.order + 1)
             out = eps * np.maximum((velocity * normal).sum(axis=2), 0.0)
@@ -231,22 +235,20 @@ class Operator:
     def source(self) -> Float:
         """Right sides of (1) and (2) by particles, with the fields at hand for Eq. (5), (N,)."""
         one, other = self.keys.element, self.pressure_keys.element
-        places, weight = rule(max(2 * self.order, one.degree + 1))
         F, G = integrals.sources(
             self.topology.corners, self.keys.rows, self.pressure_keys.rows, self.gradient,
-            self.area, self.u, self.p, self.f, self.g, self.dE, self.dS,
-            places, one.shape(places), other.slope(places), weight,
+            self.area, self.fields[:, 6:], self.u, self.p[:, None],
+            hats(one), tilts(other), divergences(one, other), slopes(other),
         )  # fmt: skip
-        return np.concatenate([F.ravel(), G])
+        return np.concatenate([F.ravel(), G.ravel()])
 
     def means(self) -> tuple[Float, Float, Float]:
         """Integrals of u (m, 2), ∇p (m, 2) and ∇×u (m,) times the hats of the points."""
         one, other = self.keys.element, self.pressure_keys.element
-        places, weight = rule(one.degree + 1)
         found = integrals.averages(
             self.topology.corners, self.keys.rows, self.pressure_keys.rows, self.gradient,
-            self.area, self.u, self.p, len(self.eps),
-            places, one.shape(places), one.slope(places), other.slope(places), weight,
+            self.area, self.u, self.p[:, None], len(self.eps),
+            hats(one), tilts(one), tilts(other),
         )  # fmt: skip
         return found[:, :2], found[:, 2:4], found[:, 4]
 
@@ -255,26 +257,27 @@ class Operator:
     def assemble(self) -> None:
         """The matrices of the triangles for the present fields and places of the points."""
         one, other = self.keys.element, self.pressure_keys.element
-        self.K = integrals.matrices(
-            self.topology.corners, self.gradient, self.area, 3 * self.order,
-            self.inertia, self.eps, self.viscosity + self.stirred, self.E, self.S,
-            masses(one), slopes(one), divergences(one, other), slopes(other),
+        (t, n), left = self.rows.shape, self.outer
+        self.K, self.inner = np.empty((t, left, left)), np.zeros((t, n - left, n))
+        integrals.matrices(
+            self.topology.corners, self.gradient, self.area, 3 * self.order, self.fields[:, 2:6],
+            self.viscosity + self.stirred,
+            masses(one), slopes(one), divergences(one, other), slopes(other), self.K, self.inner,
         )  # fmt: skip
-        integrals.condense(self.K, self.outer)
 
     def apply(self, x: Float) -> Float:
         """Left sides of (1) and (2) for unknowns (N,), those inside of triangles eliminated."""
-        found: Float = integrals.product(self.K, self.rows, x, self.outer)
+        found: Float = integrals.product(self.K, self.rows, x)
         return found
 
     def condensed(self, f: Float) -> Float:
         """Right sides (N,) for `apply`."""
-        found: Float = integrals.condensed(self.K, self.rows, f, self.outer)
+        found: Float = integrals.condensed(self.inner, self.rows, f)
         return found
 
     def completed(self, f: Float, x: Float) -> None:
         """Put the unknowns inside of triangles into x; f is of `condensed`."""
-        integrals.completed(self.K, self.rows, f, x, self.outer)
+        integrals.completed(self.inner, self.rows, f, x)
 
     @property
     def sought(self) -> Mask:
