@@ -100,7 +100,7 @@ class Kernel:
         return found
 
     def mean(self, moments: Float) -> Float:
-        """<f>_i from ∫φ_v f, (m,) or (m, 2)."""
+        """<f>_i from ∫φ_v f, (m,) or (m, c)."""
         found: Float = self.share @ (
             moments / (self.hats if moments.ndim == 1 else self.hats[:, None])
         )
@@ -451,6 +451,7 @@ class Fields:
         old_porosity, m = self.kernel.porosity, len(self.kernel.porosity)
         self._build()
         op = self.operator
+        op.memory = old.memory
         over = Transfer(old.topology, op.topology, self.mesh.points)
         fields = over.fields(old.keys, op.keys, np.column_stack([old.u, self.du]))
         op.u[:], self.du = fields[:, :2], fields[:, 2:].copy()

@@ -448,23 +448,24 @@ def crossing(
 
 
 @njit(cache=True)
-def passing(corner: Int, places: Float, speed: Float, n: int, way: float, share: float) -> Float:
+def passing(
+    corner: Int, gradient: Float, area: Float, speed: Float, n: int, way: float, share: float
+) -> Float:
     """How fast discs, the first n points, pass their neighbours [1/s], at edges of triangles (e,).
 
     Relative speed over `way` [m], and over this share of the distance if one is no disc.
     """
     rate, count = np.empty(3 * len(corner)), 0
     for e in range(len(corner)):
-        for k in range(3):
+        (ax, ay), (bx, by) = gradient[e, 0], gradient[e, 1]
+        for k, (x, y) in enumerate(((ax, ay), (bx, by), (ax + bx, ay + by))):
             i, j = corner[e, k], corner[e, k - 1]
             if i >= n and j >= n:
                 continue
             u, v = speed[i, 0] - speed[j, 0], speed[i, 1] - speed[j, 1]
             free = way
-            if i >= n or j >= n:
-                x = places[e, k, 0] - places[e, k - 1, 0]
-                y = places[e, k, 1] - places[e, k - 1, 1]
-                free = share * np.sqrt(x * x + y * y)
+            if i >= n or j >= n:  # (x, y) is ∇λ of the corner opposite
+                free = share * 2.0 * area[e] * np.sqrt(x * x + y * y)
             rate[count] = np.sqrt(u * u + v * v) / free
             count += 1
     return rate[:count]

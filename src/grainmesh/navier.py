@@ -103,6 +103,8 @@ class Operator:
         The parts of E and S that act by averages, Eq. (5), linear.
     stirred : (t,)
         Viscosity besides mu [Pa s].
+    memory : (any,)
+        Where the matrices are; the next operator may have it, since new memory costs as much time.
     free : (N,)
         Unknowns, u_x and u_y in turn and then p, that are solved for.
     """
@@ -135,23 +137,21 @@ class Operator:
         self.w, self.f, self.g = fields[:, :2], fields[:, 6:8], fields[:, 8:10]
         self.eps, self.inertia, self.E, self.S = fields[:, 2:6].T
         self.dE, self.dS = fields[:, 10:].T
-        self.stirred = np.zeros(t)
+        self.stirred, self.memory = np.zeros(t), np.empty(0)
         # u of the outer unknowns of a triangle, p, and the rest of u
         outer, rows = 3 * order, own.rows
-        both = 2 * rows[..., None] + np.arange(2)
         self.outer = 2 * outer + other.rows.shape[1]
-        self.rows = np.concatenate(
-            [
-                both[:, :outer].reshape(t, -1),
-                self.split + other.rows,
-                both[:, outer:].reshape(t, -1),
-            ],
-            axis=1,
-        )
-        self.free = np.zeros(self.split + other.size, dtype=bool)
-        self.free[self.rows] = True
-        self.within = np.zeros_like(self.free)  # the inner unknowns
-        self.within[self.rows[:, self.outer :]] = True
+        self.rows = np.empty((t, 2 * rows.shape[1] + other.rows.shape[1]), np.int64)
+        for at, part in ((0, rows[:, :outer]), (self.outer, rows[:, outer:])):
+            for c in range(2):
+                self.rows[:, at + c : at + 2 * part.shape[1] : 2] = 2 * part + c
+        self.rows[:, 2 * outer : self.outer] = self.split + other.rows
+        self.free = np.ones(self.split + other.size, dtype=bool)
+        unused = np.flatnonzero(~topology.used)
+        for at in (2 * unused, 2 * unused + 1, self.split + unused):
+            self.free[at] = False
+        self.within = np.zeros_like(self.free)  # the inner unknowns, the last of u
+        self.within[self.split - 2 * t * (rows.shape[1] - outer) : self.split] = True
         for given, at in ((held, slice(None, self.split)), (level, slice(self.split, None))):
             if given is not None:
                 self.free[at] &= ~given.ravel()
@@ -242,15 +242,15 @@ class Operator:
         )  # fmt: skip
         return np.concatenate([F.ravel(), G.ravel()])
 
-    def means(self) -> tuple[Float, Float, Float]:
-        """Integrals of u (m, 2), ∇p (m, 2) and ∇×u (m,) times the hats of the points."""
+    def means(self) -> Float:
+        """Integrals of u, ∇p and ∇×u times the hats of the points (m, 5)."""
         one, other = self.keys.element, self.pressure_keys.element
-        found = integrals.averages(
+        found: Float = integrals.averages(
             self.topology.corners, self.keys.rows, self.pressure_keys.rows, self.gradient,
             self.area, self.u, self.p[:, None], len(self.eps),
             hats(one), tilts(one), tilts(other),
         )  # fmt: skip
-        return found[:, :2], found[:, 2:4], found[:, 4]
+        return found
 
     # --- the matrix ---------------------------------------------------------------------------
 
@@ -258,7 +258,11 @@ class Operator:
         """The matrices of the triangles for the present fields and places of the points."""
         one, other = self.keys.element, self.pressure_keys.element
         (t, n), left = self.rows.shape, self.outer
-        self.K, self.inner = np.empty((t, left, left)), np.zeros((t, n - left, n))
+        split, size = t * left**2, t * (left**2 + (n - left) * n)
+        if len(self.memory) < size:
+            self.memory = np.empty(size + size // 16)
+        self.K = self.memory[:split].reshape(t, left, left)
+        self.inner = self.memory[split:size].reshape(t, n - left, n)
         integrals.matrices(
             self.topology.corners, self.gradient, self.area, 3 * self.order, self.fields[:, 2:6],
             self.viscosity + self.stirred,
