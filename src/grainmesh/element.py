@@ -140,6 +140,20 @@ def edge_rule(degree: int) -> tuple[Float, Float]:
     return places, weights / weights.sum()
 
 
+@lru_cache
+def at_rule(one: Element, degree: int) -> tuple[Float, Float, Float, Float]:
+    """Places, values (q, l) and derivatives (q, l, 2) of the basis there, and weights of `rule`."""
+    places, weights = rule(degree)
+    return places, one.shape(places), one.slope(places), weights
+
+
+@lru_cache
+def at_edges(one: Element, degree: int) -> tuple[Float, Float, Float]:
+    """Places, values of the basis there (3, q, l), and weights of `edge_rule`."""
+    places, weights = edge_rule(degree)
+    return places, one.shape(places.reshape(-1, 3)).reshape(*places.shape[:2], -1), weights
+
+
 def _values_of_basis(kind: Element, places: Float) -> Float:
     """What NGSolve's basis is at places (q, 3) inside (q, l)."""
     ngmesh = NetgenMesh(dim=2)
@@ -199,6 +213,6 @@ def divergences(one: Element, other: Element) -> Float:
 
 
 __all__ = [
-    "PAIRS", "Element", "divergences", "edge_rule", "element", "hats", "lattice", "masses", "rule",
-    "slopes", "tilts",
+    "PAIRS", "Element", "at_edges", "at_rule", "divergences", "edge_rule", "element", "hats",
+    "lattice", "masses", "rule", "slopes", "tilts",
 ]  # fmt: skip

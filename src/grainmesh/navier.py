@@ -48,13 +48,12 @@ from numpy.typing import NDArray
 from grainmesh import integrals
 from grainmesh.carry import Keys, Topology
 from grainmesh.element import (
-    Element,
+    at_edges,
+    at_rule,
     divergences,
-    edge_rule,
     element,
     hats,
     masses,
-    rule,
     slopes,
     tilts,
 )
@@ -64,7 +63,6 @@ Float = NDArray[np.float64]
 Int = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-HATS = Element(1)
 #: Residual of the flow by single forces.
 MOBILITY_TOLERANCE, MOST = 1e-9, 40
 
@@ -140,18 +138,20 @@ class Operator:
         self.stirred, self.memory = np.zeros(t), np.empty(0)
         # u of the outer unknowns of a triangle, p, and the rest of u
         outer, rows = 3 * order, own.rows
+        both = 2 * rows[..., None] + np.arange(2)
         self.outer = 2 * outer + other.rows.shape[1]
-        self.rows = np.empty((t, 2 * rows.shape[1] + other.rows.shape[1]), np.int64)
-        for at, part in ((0, rows[:, :outer]), (self.outer, rows[:, outer:])):
-            for c in range(2):
-                self.rows[:, at + c : at + 2 * part.shape[1] : 2] = 2 * part + c
-        self.rows[:, 2 * outer : self.outer] = self.split + other.rows
-        self.free = np.ones(self.split + other.size, dtype=bool)
-        unused = np.flatnonzero(~topology.used)
-        for at in (2 * unused, 2 * unused + 1, self.split + unused):
-            self.free[at] = False
-        self.within = np.zeros_like(self.free)  # the inner unknowns, the last of u
-        self.within[self.split - 2 * t * (rows.shape[1] - outer) : self.split] = True
+        self.rows = np.concatenate(
+            [
+                both[:, :outer].reshape(t, -1),
+                self.split + other.rows,
+                both[:, outer:].reshape(t, -1),
+            ],
+            axis=1,
+        )
+        self.free = np.zeros(self.split + other.size, dtype=bool)
+        self.free[self.rows] = True
+        self.within = np.zeros_like(self.free)  # the inner unknowns
+        self.within[self.rows[:, self.outer :]] = True
         for given, at in ((held, slice(None, self.split)), (level, slice(self.split, None))):
             if given is not None:
                 self.free[at] &= ~given.ravel()
@@ -184,10 +184,9 @@ class Operator:
     def convection(self, e: Float) -> tuple[Float, Float]:
         """C of a velocity e (size, 2), and what of R is not the change of mass (size,)."""
         one = self.keys.element
-        places, weight = rule(3 * one.degree)
         found = integrals.convected(
             self.topology.corners, self.keys.rows, self.gradient, self.area, self.fields[:, :3], e,
-            places, one.shape(places), one.slope(places), weight,
+            *at_rule(one, 3 * one.degree),
         )  # fmt: skip
         C, drained = found[:, :2], found[:, 2]
         if len(self.outlets):  # what flows in has the mean velocity, by Eq. (6)
@@ -201,8 +200,7 @@ class Operator:
     def inflow(self, given: Float) -> Float:
         """∮q ε u·n of a given superficial velocity ε u (size, 2), (size of p,)."""
         flux, _, normal, _ = self._at_sides(self.inlets, given, 2 * self.order)
-        places = edge_rule(2 * self.order)[0]
-        q = self.pressure_keys.element.shape(places.reshape(-1, 3)).reshape(*places.shape[:2], -1)
+        q = at_edges(self.pressure_keys.element, 2 * self.order)[1]
         found = np.zeros(self.pressure_keys.size)
         through = (flux * normal).sum(axis=2)
         t, k = self.inlets.T
@@ -211,8 +209,7 @@ class Operator:
 
     def along(self, edges: Int, values: Float, keys: Keys, eps: Float | None = None) -> Float:
         """∫ds of fields (size, c) along edges, times ε if given, (c,)."""
-        places, weight = edge_rule(2 * self.order)
-        shape = keys.element.shape(places.reshape(-1, 3)).reshape(*places.shape[:2], -1)
+        places, shape, weight = at_edges(keys.element, 2 * self.order)
         one = np.ones(len(self.eps)) if eps is None else eps
         found, e, normal = integrals.at_sides(
             edges, self.topology.corners, keys.rows, self.gradient, self.area, one, values,
@@ -224,8 +221,7 @@ class Operator:
 
     def _at_sides(self, edges: Int, u: Float, degree: int) -> tuple[Float, Float, Float, Float]:
         """Velocity, ε, n ds and shape functions on edges (b, q, ...)."""
-        places, weight = edge_rule(degree)
-        shape = self.keys.element.shape(places.reshape(-1, 3)).reshape(*places.shape[:2], -1)
+        places, shape, weight = at_edges(self.keys.element, degree)
         velocity, eps, normal = integrals.at_sides(
             edges, self.topology.corners, self.keys.rows, self.gradient, self.area, self.eps, u,
             places, shape, weight,
