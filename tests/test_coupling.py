@@ -8,6 +8,7 @@ from ngsolve import Integrate, LinearForm, dx, grad
 
 import grainmesh as gm
 from flows import Beside
+from grainmesh import coupling
 from grainmesh.carry import Keys
 from grainmesh.closures import HexagonalLattice, SquareLattice
 from grainmesh.drag import Bed, Drag, Permeability
@@ -417,6 +418,16 @@ def test_a_change_that_is_refused_changes_nothing():
     for a, b in zip(bits(run), before, strict=True):
         assert np.array_equal(a, b)
     step(run, 2)
+
+
+@pytest.mark.parametrize("n", [1, 2, 5, 100, 1000])
+@pytest.mark.parametrize("power", [0.0, 1.0, 8.0])
+def test_rate_that_most_of_the_sum_stays_below(n, power):
+    rates = np.random.default_rng(n).uniform(size=n) ** power
+    found = coupling._most(rates, 0.8)
+    assert found in rates
+    assert rates[rates < found].sum() < 0.8 * rates.sum() * (1.0 + 1e-12)
+    assert rates[rates <= found].sum() > 0.8 * rates.sum() * (1.0 - 1e-12)
 
 
 def test_few_fast_discs_among_many_at_rest_decide_the_step():

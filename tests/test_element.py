@@ -12,10 +12,12 @@ from grainmesh.element import (
     divergences,
     edge_rule,
     element,
+    hats,
     lattice,
     masses,
     rule,
     slopes,
+    tilts,
 )  # fmt: skip
 
 #: Order, and whether with a bubble.
@@ -118,6 +120,15 @@ def test_tables_are_integrals_of_products(one, other):
     exact = np.einsum("q,qc,qj,qia->ijca", weight, places, phi, of_other)
     assert np.allclose(divergences(one, other), exact, rtol=0.0, atol=1e-13)
     assert masses(one)[:3, :3].sum() == pytest.approx(1.0, rel=1e-13)  # hats sum to 1
+    assert np.allclose(hats(one), masses(one)[:3].sum(axis=0), rtol=0.0, atol=1e-14)
+    assert np.allclose(tilts(other), divergences(one, other)[:, :3].sum(axis=1), atol=1e-13)
+
+
+@EACH
+def test_hats_come_first(one):
+    # `integrals` counts on it.
+    places = rule(7)[0]
+    assert np.allclose(one.shape(places)[:, :3], places, rtol=0.0, atol=1e-14)
 
 
 @pytest.mark.parametrize("parts", [1, 2, 3, 6])

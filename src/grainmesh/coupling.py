@@ -82,12 +82,11 @@ class Coupling(Fields):
             longest = min(longest, np.sqrt(2.0 * WAY * d / fall))
         if self.fluid.dt is None and fall > 0.0:
             longest = 0.1 * np.sqrt(d / fall)
-        places, n = op.topology.places(self.mesh.points), len(self.velocity)
-        passing = integrals.passing(corner, places, speed, n, WAY * d, SHARE)
+        passing = integrals.passing(
+            corner, op.gradient, op.area, speed, len(self.velocity), WAY * d, SHARE
+        )
         if passing.any():  # a few may be faster: their triangles must not turn over
-            passing = np.sort(passing)
-            enough = int((passing.cumsum() < MOST_PASS * float(passing.sum())).sum())
-            longest = min(longest, 1.0 / passing[min(enough, len(passing) - 1)])
+            longest = min(longest, 1.0 / _most(passing, MOST_PASS))
         # How fast flow crosses the triangles around a point. Where viscosity is faster, u² rho/mu
         # takes the place of u/h: it acts implicitly.
         smooth = 0.5 * self.fluid.density / self.fluid.viscosity
@@ -198,7 +197,7 @@ class Coupling(Fields):
         if self.dt > 0.0:
             op.u += dt / self.dt * self.du
         self._set_sides()
-        u, slope, _ = (k.mean(part) for part in op.means())
+        u, slope, _ = np.split(k.mean(op.means()), [2, 4], axis=1)
         dE, dS = k.field(b * share * V), k.field(V**2 * share)
         op.load(
             inertia=c * fluid.density * eps / dt + k.field(b * c * alpha),
@@ -233,7 +232,8 @@ class Coupling(Fields):
         self.D = Q - self.Q - dt * C
         self.Q = Q
         # Eq. (3) and the force of the fluid.
-        self.around, slope, self.curl = (k.mean(part) for part in op.means())
+        self.around, slope, curl = np.split(k.mean(op.means()), [2, 4], axis=1)
+        self.curl = curl[:, 0]
         pull = b[:, None] * self.around - V[:, None] * slope
         found = alpha[:, None] * (ahead + dt * free[:, None] * pull)
         found[~discs.free] = 0.0
@@ -323,6 +323,16 @@ class Coupling(Fields):
         length = np.hypot(*(np.roll(place, -1, axis=1) - place).T).T
         gap = length - r[corner] - r[np.roll(corner, -1, axis=1)]
         return float(gap.min(axis=1).mean() / self.discs.diameter.mean())
+
+
+def _most(rates: Float, part: float) -> float:
+    """The rate at which rates, summed up from the smallest, come to this part of their sum."""
+    rest, level = (1.0 - part) * float(rates.sum()), float(rates.mean())
+    while (larger := rates[rates > level]).sum() > rest:  # to sort few
+        rates, level = larger, 2.0 * level
+    rates = np.sort(rates)[::-1]
+    beyond = int((rates.cumsum() <= rest).sum())
+    return float(rates[min(beyond, len(rates) - 1)])
 
 
 class _Clock:

@@ -168,6 +168,20 @@ def edge_rule(degree: int) -> tuple[Float, Float]:
     return places, weights / weights.sum()
 
 
+@lru_cache
+def at_rule(one: Element, degree: int) -> tuple[Float, Float, Float, Float]:
+    """Places, values (q, l) and derivatives (q, l, 2) of the basis there, and weights of `rule`."""
+    places, weights = rule(degree)
+    return places, one.shape(places), one.slope(places), weights
+
+
+@lru_cache
+def at_edges(one: Element, degree: int) -> tuple[Float, Float, Float]:
+    """Places, values of the basis there (3, q, l), and weights of `edge_rule`."""
+    places, weights = edge_rule(degree)
+    return places, one.shape(places.reshape(-1, 3)).reshape(*places.shape[:2], -1), weights
+
+
 def _values_of_basis(kind: Element, places: Float) -> Float:
     """What NGSolve's basis is at places (q, 3) inside (q, l)."""
     ngmesh = NetgenMesh(dim=2)
@@ -185,6 +199,20 @@ def _values_of_basis(kind: Element, places: Float) -> Float:
         field.vec[unknown] = 1.0
         columns.append([field(mesh(*x)) for x in places[:, 1:].tolist()])
     return np.array(columns).T
+
+
+@lru_cache
+def hats(one: Element) -> Float:
+    """∫λ_c φ_i over a triangle of area 1 (l, 3)."""
+    places, weights = rule(one.degree + 1)
+    return np.ascontiguousarray(np.einsum("q,qc,qi->ic", weights, places, one.shape(places)))
+
+
+@lru_cache
+def tilts(one: Element) -> Float:
+    """∫λ_c ∂_a φ_i over a triangle of area 1 (l, 3, 2)."""
+    places, weights = rule(one.degree)
+    return np.ascontiguousarray(np.einsum("q,qc,qia->ica", weights, places, one.slope(places)))
 
 
 @lru_cache
@@ -213,6 +241,6 @@ def divergences(one: Element, other: Element) -> Float:
 
 
 __all__ = [
-    "PAIRS", "Element", "divergences", "edge_rule", "element", "lattice", "masses", "rule",
-    "slopes",
+    "PAIRS", "Element", "at_edges", "at_rule", "divergences", "edge_rule", "element", "hats",
+    "lattice", "masses", "rule", "slopes", "tilts",
 ]  # fmt: skip

@@ -99,7 +99,7 @@ class Kernel:
         return found
 
     def mean(self, moments: Float) -> Float:
-        """<f>_i from ∫φ_v f, (m,) or (m, 2)."""
+        """<f>_i from ∫φ_v f, (m,) or (m, c)."""
         found: Float = self.share @ (
             moments / (self.hats if moments.ndim == 1 else self.hats[:, None])
         )
@@ -450,6 +450,7 @@ class Fields:
         old_porosity = self.kernel.porosity
         self._build()
         op = self.operator
+        op.memory = old.memory
         over = Transfer(old.topology, op.topology, self.mesh.points)
         keys = old.keys, op.keys
         op.u, self.du = over.fields(*keys, old.u, self.du)

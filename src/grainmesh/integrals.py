@@ -1,8 +1,16 @@
-"""Integrals over the triangles of a mesh, one after the other: the inner loops of `navier`.
+"""Integrals over the triangles of a mesh: the inner loops of `navier`.
 
-Corners (t, 3) rise; unknowns are kept by row, (size, 2) for velocity and (size,) for pressure;
-`gradient` (t, 2, 2) holds ∇λ_1 and ∇λ_2. Fields `eps`, `E`, ... are linear between points, (m,) or
-(m, 2). `shape` (q, l), `slope` (q, l, 2) and `weight` (q,) are of a rule of integration.
+Corners (t, 3) rise; unknowns are kept by row, (size, 2) for velocity and (size,) for pressure, rows
+(t, l); `gradient` (t, 2, 2) holds ∇λ_1 and ∇λ_2. Fields are linear between points, (m, c). Tables
+are integrals over a triangle of area 1, by the functions of `element` that are named; `shape`
+(q, l), `slope` (q, l, 2) and `weight` (q,) are of a rule of integration. The first three shape
+functions are the hats λ.
+
+`BLOCK` triangles go together: what they need is gathered, in columns of one triangle each, so that
+the innermost loops run over columns, with the vector instructions of the machine; what comes out is
+added row by row, in the order of the triangles. Columns that the last block leaves over hold
+anything. Arrays of a block have capitals. Entries of tables become scalars before a loop over
+columns: the compiler does not know that its results do not overlap the tables.
 """
 
 from __future__ import annotations
@@ -15,6 +23,38 @@ from numpy.typing import NDArray
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
+
+#: Triangles that go together: few enough for the nearest cache.
+BLOCK = 64
+
+
+@njit(cache=True, inline="always")
+def _gather(values: Float, rows: Int, first: int, X: Float) -> None:
+    """Values (size, c) at the rows of a block, X (l, c, BLOCK)."""
+    for b in range(min(BLOCK, len(rows) - first)):
+        for i in range(X.shape[0]):
+            row = rows[first + b, i]
+            for c in range(X.shape[1]):
+                X[i, c, b] = values[row, c]
+
+
+@njit(cache=True, inline="always")
+def _shapes(gradient: Float, first: int, D: Float) -> None:
+    """∂_x λ_1, ∂_y λ_1, ∂_x λ_2 and ∂_y λ_2 of a block, D (4, BLOCK)."""
+    for b in range(min(BLOCK, len(gradient) - first)):
+        for k in range(2):
+            for c in range(2):
+                D[2 * k + c, b] = gradient[first + b, k, c]
+
+
+@njit(cache=True, inline="always")
+def _add(total: Float, rows: Int, first: int, area: Float, X: Float) -> None:
+    """Add X (l, c, BLOCK), times area, to the rows (size, c) of a block."""
+    for b in range(min(BLOCK, len(rows) - first)):
+        for i in range(X.shape[0]):
+            row = rows[first + b, i]
+            for c in range(X.shape[1]):
+                total[row, c] += area[first + b] * X[i, c, b]
 
 
 @njit(cache=True)
@@ -32,118 +72,141 @@ def gradients(corners: Float) -> tuple[Float, Float]:
     return gradient, area
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath={"contract"}, error_model="numpy")
 def matrices(
     corner: Int, gradient: Float, area: Float, outer: int,
-    inertia: Float, eps: Float, mu: Float, E: Float, S: Float,
-    M: Float, T: Float, R: Float, P: Float,
-) -> Float:  # fmt: skip
-    """Symmetric matrices (t, n, n) of navier, Eqs. (1) to (3).
+    fields: Float, mu: Float, M: Float, T: Float, R: Float, P: Float, K: Float, inner: Float,
+) -> None:  # fmt: skip
+    """Symmetric matrices of navier, Eqs. (1) to (3), the last unknowns eliminated.
 
     Unknowns are u_x and u_y of the first `outer` shape functions in turn, then p, then the rest of
-    u; mu (t,) is the viscosity; M, T, R, P are `masses`, `slopes` and `divergences` of `element`.
+    u. `fields` are ε, c ρ ε/Δt + B, E and S, mu (t,) the viscosity; tables `masses`, `slopes`,
+    `divergences`, and `slopes` of the pressure. K (t, left, left) is for the first unknowns; rows
+    of the others, up to their diagonal, as they are once all behind them are eliminated, go to
+    `inner` (t, n - left, n).
     """
     t, count, lp = len(corner), len(M), len(P)
-    n = 2 * count + lp
-    K = np.zeros((t, n, n))
+    n, left = 2 * count + lp, K.shape[1]
     place = np.empty(count, np.int64)
     for i in range(count):
         place[i] = 2 * i if i < outer else 2 * i + lp
-    for e in range(t):
-        v0, v1, v2 = corner[e]
-        ax, ay, bx, by = gradient[e, 0, 0], gradient[e, 0, 1], gradient[e, 1, 0], gradient[e, 1, 1]
-        A = area[e]
-        m0, m1, m2 = A * inertia[v0], A * inertia[v1], A * inertia[v2]
-        w = A * mu[e]
-        e0, e1, e2 = w * eps[v0], w * eps[v1], w * eps[v2]
+    D, X, share = np.zeros((4, BLOCK)), np.zeros((3, 4, BLOCK)), np.zeros(BLOCK)
+    B = np.zeros((n, n, BLOCK))  # its lower half
+    for first in range(0, t, BLOCK):
+        size = min(BLOCK, t - first)
+        _shapes(gradient, first, D)
+        _gather(fields, corner, first, X)
+        for b in range(size):
+            for c in range(3):
+                for k in range(4):
+                    X[c, k, b] *= area[first + b]
+                X[c, 0, b] *= mu[first + b]
         for i in range(count):
             row = place[i]
             for j in range(i + 1):
                 column = place[j]
-                mass = m0 * M[i, j, 0] + m1 * M[i, j, 1] + m2 * M[i, j, 2]
-                t00 = e0 * T[i, j, 0, 0, 0] + e1 * T[i, j, 1, 0, 0] + e2 * T[i, j, 2, 0, 0]
-                t01 = e0 * T[i, j, 0, 0, 1] + e1 * T[i, j, 1, 0, 1] + e2 * T[i, j, 2, 0, 1]
-                t10 = e0 * T[i, j, 0, 1, 0] + e1 * T[i, j, 1, 1, 0] + e2 * T[i, j, 2, 1, 0]
-                t11 = e0 * T[i, j, 0, 1, 1] + e1 * T[i, j, 1, 1, 1] + e2 * T[i, j, 2, 1, 1]
-                # ∫mu ε ∂φ_i ∂φ_j by x, x; x, y; y, x; y, y
-                xx = t00 * ax * ax + t01 * ax * bx + t10 * bx * ax + t11 * bx * bx
-                xy = t00 * ax * ay + t01 * ax * by + t10 * bx * ay + t11 * bx * by
-                yx = t00 * ay * ax + t01 * ay * bx + t10 * by * ax + t11 * by * bx
-                yy = t00 * ay * ay + t01 * ay * by + t10 * by * ay + t11 * by * by
-                both = mass + xx + yy  # Eq. (3)
-                K[e, row, column] = both + xx / 3.0
-                K[e, row + 1, column + 1] = both + yy / 3.0
-                K[e, row, column + 1] = yx - 2.0 / 3.0 * xy
-                K[e, row + 1, column] = xy - 2.0 / 3.0 * yx
-                K[e, column, row] = K[e, row, column]
-                K[e, column + 1, row + 1] = K[e, row + 1, column + 1]
-                K[e, column + 1, row] = K[e, row, column + 1]
-                K[e, column, row + 1] = K[e, row + 1, column]
-        e0, e1, e2 = A * E[v0], A * E[v1], A * E[v2]
-        s0, s1, s2 = A * S[v0], A * S[v1], A * S[v2]
+                m0, m1, m2 = M[i, j]
+                (r00, r01), (r10, r11) = T[i, j, 0]
+                (s00, s01), (s10, s11) = T[i, j, 1]
+                (t00, t01), (t10, t11) = T[i, j, 2]
+                for b in range(BLOCK):
+                    mass = m0 * X[0, 1, b] + m1 * X[1, 1, b] + m2 * X[2, 1, b]
+                    w0, w1, w2 = X[0, 0, b], X[1, 0, b], X[2, 0, b]
+                    d00, d01 = w0 * r00 + w1 * s00 + w2 * t00, w0 * r01 + w1 * s01 + w2 * t01
+                    d10, d11 = w0 * r10 + w1 * s10 + w2 * t10, w0 * r11 + w1 * s11 + w2 * t11
+                    ax, ay, bx, by = D[0, b], D[1, b], D[2, b], D[3, b]
+                    x0, x1 = ax * d00 + bx * d10, ax * d01 + bx * d11
+                    y0, y1 = ay * d00 + by * d10, ay * d01 + by * d11
+                    # ∫mu ε ∂φ_i ∂φ_j by x, x; x, y; y, x; y, y
+                    xx, xy, yx, yy = (
+                        x0 * ax + x1 * bx, x0 * ay + x1 * by, y0 * ax + y1 * bx, y0 * ay + y1 * by
+                    )  # fmt: skip
+                    both = mass + xx + yy  # Eq. (3)
+                    B[row, column, b] = both + xx / 3.0
+                    B[row + 1, column + 1, b] = both + yy / 3.0
+                    B[row, column + 1, b] = yx - 2.0 / 3.0 * xy
+                    B[row + 1, column, b] = xy - 2.0 / 3.0 * yx
         for i in range(lp):
-            row = 2 * outer + i
+            at = 2 * outer + i
             for j in range(count):
-                r0 = e0 * R[i, j, 0, 0] + e1 * R[i, j, 1, 0] + e2 * R[i, j, 2, 0]
-                r1 = e0 * R[i, j, 0, 1] + e1 * R[i, j, 1, 1] + e2 * R[i, j, 2, 1]
-                for c in range(2):
-                    value = r0 * gradient[e, 0, c] + r1 * gradient[e, 1, c]
-                    K[e, row, place[j] + c] = value
-                    K[e, place[j] + c, row] = value
+                (r00, r01), (r10, r11), (r20, r21) = R[i, j]
+                row, column, step = (at, 2 * j, 0) if j < outer else (place[j], at, 1)
+                for b in range(BLOCK):
+                    d0 = X[0, 2, b] * r00 + X[1, 2, b] * r10 + X[2, 2, b] * r20
+                    d1 = X[0, 2, b] * r01 + X[1, 2, b] * r11 + X[2, 2, b] * r21
+                    B[row, column, b] = d0 * D[0, b] + d1 * D[2, b]
+                    B[row + step, column + 1 - step, b] = d0 * D[1, b] + d1 * D[3, b]
             for j in range(i + 1):
-                value = 0.0
-                for a in range(2):
-                    for b in range(2):
-                        p = s0 * P[i, j, 0, a, b] + s1 * P[i, j, 1, a, b] + s2 * P[i, j, 2, a, b]
-                        value -= p * (
-                            gradient[e, a, 0] * gradient[e, b, 0]
-                            + gradient[e, a, 1] * gradient[e, b, 1]
-                        )
-                K[e, row, 2 * outer + j] = value
-                K[e, 2 * outer + j, row] = value
-    return K
-
-
-@njit(cache=True)
-def condense(K: Float, outer: int) -> None:
-    """Eliminate, in place, all unknowns from `outer` on: the last first."""
-    n = K.shape[1]
-    for e in range(len(K)):
-        for k in range(n - 1, outer - 1, -1):
+                (r00, r01), (r10, r11) = P[i, j, 0]
+                (s00, s01), (s10, s11) = P[i, j, 1]
+                (t00, t01), (t10, t11) = P[i, j, 2]
+                for b in range(BLOCK):
+                    z0, z1, z2 = X[0, 3, b], X[1, 3, b], X[2, 3, b]
+                    ax, ay, bx, by = D[0, b], D[1, b], D[2, b], D[3, b]
+                    d00, d11 = z0 * r00 + z1 * s00 + z2 * t00, z0 * r11 + z1 * s11 + z2 * t11
+                    cross = z0 * (r01 + r10) + z1 * (s01 + s10) + z2 * (t01 + t10)
+                    B[at, 2 * outer + j, b] = -(
+                        d00 * (ax * ax + ay * ay)
+                        + cross * (ax * bx + ay * by)
+                        + d11 * (bx * bx + by * by)
+                    )
+        for k in range(n - 1, left - 1, -1):
             for i in range(k):
-                share = K[e, i, k] / K[e, k, k]
-                for j in range(k):
-                    K[e, i, j] -= share * K[e, k, j]
+                for b in range(BLOCK):
+                    share[b] = B[k, i, b] / B[k, k, b]
+                for j in range(i + 1):
+                    for b in range(BLOCK):
+                        B[i, j, b] -= share[b] * B[k, j, b]
+        for b in range(size):
+            for i in range(left):
+                for j in range(i + 1):
+                    value = B[i, j, b]
+                    K[first + b, i, j] = value
+                    K[first + b, j, i] = value
+            for i in range(left, n):
+                for j in range(i + 1):
+                    inner[first + b, i - left, j] = B[i, j, b]
 
 
 @njit(cache=True)
-def condensed(K: Float, rows: Int, f: Float, outer: int) -> Float:
-    """Right-hand side for the unknowns that `condense` has left."""
+def condensed(inner: Float, rows: Int, f: Float) -> Float:
+    """Right-hand side for the unknowns that `matrices` has left, from that for all."""
     f = f.copy()
-    n = K.shape[1]
-    for e in range(len(K)):
-        for k in range(n - 1, outer - 1, -1):
-            share = f[rows[e, k]] / K[e, k, k]
-            for i in range(k):
-                f[rows[e, i]] -= share * K[e, k, i]
+    more, n = inner.shape[1:]
+    taken = np.empty(n)
+    for e in range(len(inner)):
+        taken[:] = 0.0
+        for k in range(more - 1, -1, -1):
+            at = n - more + k
+            share = (f[rows[e, at]] - taken[at]) / inner[e, k, at]
+            for i in range(at):
+                taken[i] += share * inner[e, k, i]
+        for i in range(n):
+            f[rows[e, i]] -= taken[i]
     return f
 
 
 @njit(cache=True)
-def completed(K: Float, rows: Int, f: Float, x: Float, outer: int) -> None:
-    """Put in the unknowns that `condense` has taken out; f is of `condensed`."""
-    n = K.shape[1]
-    for e in range(len(K)):
-        for k in range(outer, n):
-            value = f[rows[e, k]]
-            for i in range(k):
-                value -= K[e, k, i] * x[rows[e, i]]
-            x[rows[e, k]] = value / K[e, k, k]
+def completed(inner: Float, rows: Int, f: Float, x: Float) -> None:
+    """Put in the unknowns that `matrices` has taken out; f is of `condensed`."""
+    more, n = inner.shape[1:]
+    local = np.empty(n)
+    for e in range(len(inner)):
+        for i in range(n - more):
+            local[i] = x[rows[e, i]]
+        for k in range(more):
+            at = n - more + k
+            value = f[rows[e, at]]
+            for i in range(at):
+                value -= inner[e, k, i] * local[i]
+            local[at] = value / inner[e, k, at]
+            x[rows[e, at]] = local[at]
 
 
-@njit(cache=True)
-def product(K: Float, rows: Int, x: Float, outer: int) -> Float:
-    """K x of the first `outer` unknowns of each triangle."""
+@njit(cache=True, fastmath={"contract", "reassoc"})
+def product(K: Float, rows: Int, x: Float) -> Float:
+    """K x of the first unknowns of each triangle, as many as K has."""
+    outer = K.shape[1]
     y, local = np.zeros_like(x), np.empty(outer)
     for e in range(len(K)):
         for i in range(outer):
@@ -156,125 +219,179 @@ def product(K: Float, rows: Int, x: Float, outer: int) -> Float:
     return y
 
 
-@njit(cache=True)
-def weighted(corner: Int, rows: Int, area: Float, eps: Float, u: Float, M: Float) -> Float:
-    """∫ε u φ_i, (size, c)."""
-    found = np.zeros_like(u)
-    size, parts = len(M), u.shape[1]
+@njit(cache=True, fastmath={"contract"})
+def spread(corner: Int, rows: Int, area: Float, f: Float, H: Float, size: int) -> Float:
+    """∫f φ_i (size,) of a field f (m,), by `hats`."""
+    found = np.zeros(size)
     for e in range(len(corner)):
-        e0, e1, e2 = eps[corner[e, 0]], eps[corner[e, 1]], eps[corner[e, 2]]
-        for i in range(size):
-            row = rows[e, i]
-            for j in range(size):
-                m = area[e] * (e0 * M[i, j, 0] + e1 * M[i, j, 1] + e2 * M[i, j, 2])
-                for c in range(parts):
-                    found[row, c] += m * u[rows[e, j], c]
+        f0, f1, f2 = f[corner[e, 0]], f[corner[e, 1]], f[corner[e, 2]]
+        for i in range(len(H)):
+            found[rows[e, i]] += area[e] * (f0 * H[i, 0] + f1 * H[i, 1] + f2 * H[i, 2])
     return found
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath={"contract"})
+def weighted(corner: Int, rows: Int, area: Float, eps: Float, u: Float, M: Float) -> Float:
+    """∫ε u φ_i (size, 2), for ε (m, 1), by `masses`."""
+    found, count = np.zeros_like(u), len(M)
+    E, U = np.zeros((3, 1, BLOCK)), np.zeros((count, 2, BLOCK))
+    F = np.zeros((count, 2, BLOCK))
+    for first in range(0, len(corner), BLOCK):
+        _gather(eps, corner, first, E)
+        _gather(u, rows, first, U)
+        F[:] = 0.0
+        for i in range(count):
+            for j in range(count):
+                m0, m1, m2 = M[i, j]
+                for b in range(BLOCK):
+                    m = m0 * E[0, 0, b] + m1 * E[1, 0, b] + m2 * E[2, 0, b]
+                    F[i, 0, b] += m * U[j, 0, b]
+                    F[i, 1, b] += m * U[j, 1, b]
+        _add(found, rows, first, area, F)
+    return found
+
+
+@njit(cache=True, fastmath={"contract"})
 def convected(
-    corner: Int, rows: Int, gradient: Float, area: Float, eps: Float, u: Float, w: Float,
+    corner: Int, rows: Int, gradient: Float, area: Float, fields: Float, u: Float,
     hat: Float, shape: Float, slope: Float, weight: Float,
-) -> tuple[Float, Float]:  # fmt: skip
-    """∫ε u (u - w)·∇φ_i (size, 2) and ∫ε (u - w)·∇φ_i (size,)."""
-    C, drained = np.zeros_like(u), np.zeros(len(u))
-    count = shape.shape[1]
-    for e in range(len(corner)):
-        v0, v1, v2 = corner[e]
+) -> Float:  # fmt: skip
+    """∫ε u (u - w)·∇φ_i and ∫ε (u - w)·∇φ_i (size, 3); `fields` are w and ε."""
+    found, count = np.zeros((len(u), 3)), shape.shape[1]
+    D, X, U = np.zeros((4, BLOCK)), np.zeros((3, 3, BLOCK)), np.zeros((count, 2, BLOCK))
+    V, Q, F = np.zeros((2, BLOCK)), np.zeros((2, BLOCK)), np.zeros((count, 3, BLOCK))
+    for first in range(0, len(corner), BLOCK):
+        _shapes(gradient, first, D)
+        _gather(fields, corner, first, X)
+        _gather(u, rows, first, U)
+        F[:] = 0.0
         for q in range(len(weight)):
-            x = y = 0.0
-            for i in range(count):
-                x += shape[q, i] * u[rows[e, i], 0]
-                y += shape[q, i] * u[rows[e, i], 1]
-            h0, h1, h2 = hat[q]
-            flux = area[e] * weight[q] * (h0 * eps[v0] + h1 * eps[v1] + h2 * eps[v2])
-            along = x - (h0 * w[v0, 0] + h1 * w[v1, 0] + h2 * w[v2, 0])
-            up = y - (h0 * w[v0, 1] + h1 * w[v1, 1] + h2 * w[v2, 1])
-            a = flux * (along * gradient[e, 0, 0] + up * gradient[e, 0, 1])
-            b = flux * (along * gradient[e, 1, 0] + up * gradient[e, 1, 1])
-            for i in range(count):
-                crossing = a * slope[q, i, 0] + b * slope[q, i, 1]
-                row = rows[e, i]
-                C[row, 0] += crossing * x
-                C[row, 1] += crossing * y
-                drained[row] += crossing
-    return C, drained
+            (h0, h1, h2), part = hat[q], weight[q]
+            for c in range(2):  # u
+                for b in range(BLOCK):
+                    V[c, b] = h0 * U[0, c, b] + h1 * U[1, c, b] + h2 * U[2, c, b]
+                for i in range(3, count):
+                    s = shape[q, i]
+                    for b in range(BLOCK):
+                        V[c, b] += s * U[i, c, b]
+            for b in range(BLOCK):
+                x, y = V[0, b], V[1, b]
+                eps = part * (h0 * X[0, 2, b] + h1 * X[1, 2, b] + h2 * X[2, 2, b])
+                along = eps * (x - (h0 * X[0, 0, b] + h1 * X[1, 0, b] + h2 * X[2, 0, b]))
+                up = eps * (y - (h0 * X[0, 1, b] + h1 * X[1, 1, b] + h2 * X[2, 1, b]))
+                f, g = along * D[0, b] + up * D[1, b], along * D[2, b] + up * D[3, b]
+                F[1, 0, b] += f * x
+                F[1, 1, b] += f * y
+                F[1, 2, b] += f
+                F[2, 0, b] += g * x
+                F[2, 1, b] += g * y
+                F[2, 2, b] += g
+                Q[0, b], Q[1, b] = f, g
+            for i in range(3, count):
+                s0, s1 = slope[q, i]
+                for b in range(BLOCK):
+                    through = s0 * Q[0, b] + s1 * Q[1, b]
+                    F[i, 0, b] += through * V[0, b]
+                    F[i, 1, b] += through * V[1, b]
+                    F[i, 2, b] += through
+        F[0] = -F[1] - F[2]  # λ_0 = 1 - λ_1 - λ_2
+        _add(found, rows, first, area, F)
+    return found
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath={"contract"})
 def sources(
-    corner: Int, rows: Int, rows_p: Int, gradient: Float, area: Float,
-    u: Float, p: Float, f: Float, g: Float, dE: Float, dS: Float,
-    hat: Float, shape: Float, slope_p: Float, weight: Float,
+    corner: Int, rows: Int, rows_p: Int, gradient: Float, area: Float, fields: Float,
+    u: Float, p: Float, H: Float, J: Float, R: Float, P: Float,
 ) -> tuple[Float, Float]:  # fmt: skip
-    """∫(f + dE ∇p)·v (size, 2) and -∫(g - dE u + dS ∇p)·∇q (size_p,), navier Eqs. (1), (2), (5)."""
-    F, G = np.zeros_like(u), np.zeros_like(p)
-    count, lp = shape.shape[1], slope_p.shape[1]
-    for e in range(len(corner)):
-        v0, v1, v2 = corner[e]
-        ax, ay, bx, by = gradient[e, 0, 0], gradient[e, 0, 1], gradient[e, 1, 0], gradient[e, 1, 1]
-        for q in range(len(weight)):
-            w = area[e] * weight[q]
-            h0, h1, h2 = hat[q]
-            x = y = a = b = 0.0
-            for i in range(count):
-                x += shape[q, i] * u[rows[e, i], 0]
-                y += shape[q, i] * u[rows[e, i], 1]
-            for i in range(lp):
-                a += slope_p[q, i, 0] * p[rows_p[e, i]]
-                b += slope_p[q, i, 1] * p[rows_p[e, i]]
-            px, py = a * ax + b * bx, a * ay + b * by
-            e_, s_ = (
-                h0 * dE[v0] + h1 * dE[v1] + h2 * dE[v2],
-                h0 * dS[v0] + h1 * dS[v1] + h2 * dS[v2],
-            )
-            fx = w * (h0 * f[v0, 0] + h1 * f[v1, 0] + h2 * f[v2, 0] + e_ * px)
-            fy = w * (h0 * f[v0, 1] + h1 * f[v1, 1] + h2 * f[v2, 1] + e_ * py)
-            gx = w * (h0 * g[v0, 0] + h1 * g[v1, 0] + h2 * g[v2, 0] - e_ * x + s_ * px)
-            gy = w * (h0 * g[v0, 1] + h1 * g[v1, 1] + h2 * g[v2, 1] - e_ * y + s_ * py)
-            for i in range(count):
-                F[rows[e, i], 0] += fx * shape[q, i]
-                F[rows[e, i], 1] += fy * shape[q, i]
-            a, b = gx * ax + gy * ay, gx * bx + gy * by
-            for i in range(lp):
-                G[rows_p[e, i]] -= a * slope_p[q, i, 0] + b * slope_p[q, i, 1]
-    return F, G
+    """∫(f + dE ∇p)·v (size, 2) and -∫(g - dE u + dS ∇p)·∇q (size_p, 1), navier Eqs. (1), (2), (5).
+
+    `fields` are f, g, dE and dS, p is (size_p, 1); tables `hats`, `tilts` of the pressure,
+    `divergences`, and `slopes` of the pressure.
+    """
+    found, found_p, count, lp = np.zeros_like(u), np.zeros_like(p), len(H), len(P)
+    D, X = np.zeros((4, BLOCK)), np.zeros((3, 6, BLOCK))
+    U, N = np.zeros((count, 2, BLOCK)), np.zeros((lp, 1, BLOCK))
+    F, G = np.zeros((count, 2, BLOCK)), np.zeros((lp, 1, BLOCK))
+    for first in range(0, len(corner), BLOCK):
+        _shapes(gradient, first, D)
+        _gather(fields, corner, first, X)
+        _gather(u, rows, first, U)
+        _gather(p, rows_p, first, N)
+        for i in range(count):
+            h0, h1, h2 = H[i]
+            for c in range(2):
+                for b in range(BLOCK):
+                    F[i, c, b] = h0 * X[0, c, b] + h1 * X[1, c, b] + h2 * X[2, c, b]
+        for i in range(lp):
+            (j00, j01), (j10, j11), (j20, j21) = J[i]
+            for b in range(BLOCK):
+                x0 = j00 * X[0, 2, b] + j10 * X[1, 2, b] + j20 * X[2, 2, b]
+                y0 = j00 * X[0, 3, b] + j10 * X[1, 3, b] + j20 * X[2, 3, b]
+                x1 = j01 * X[0, 2, b] + j11 * X[1, 2, b] + j21 * X[2, 2, b]
+                y1 = j01 * X[0, 3, b] + j11 * X[1, 3, b] + j21 * X[2, 3, b]
+                G[i, 0, b] = -(x0 * D[0, b] + y0 * D[1, b] + x1 * D[2, b] + y1 * D[3, b])
+            for j in range(count):
+                (r00, r01), (r10, r11), (r20, r21) = R[i, j]
+                for b in range(BLOCK):
+                    r0 = r00 * X[0, 4, b] + r10 * X[1, 4, b] + r20 * X[2, 4, b]
+                    r1 = r01 * X[0, 4, b] + r11 * X[1, 4, b] + r21 * X[2, 4, b]
+                    x, y = r0 * D[0, b] + r1 * D[2, b], r0 * D[1, b] + r1 * D[3, b]
+                    F[j, 0, b] += x * N[i, 0, b]
+                    F[j, 1, b] += y * N[i, 0, b]
+                    G[i, 0, b] += x * U[j, 0, b] + y * U[j, 1, b]
+            for j in range(lp):
+                (r00, r01), (r10, r11) = P[i, j, 0]
+                (s00, s01), (s10, s11) = P[i, j, 1]
+                (t00, t01), (t10, t11) = P[i, j, 2]
+                for b in range(BLOCK):
+                    z0, z1, z2 = X[0, 5, b], X[1, 5, b], X[2, 5, b]
+                    ax, ay, bx, by = D[0, b], D[1, b], D[2, b], D[3, b]
+                    d00, d11 = z0 * r00 + z1 * s00 + z2 * t00, z0 * r11 + z1 * s11 + z2 * t11
+                    cross = z0 * (r01 + r10) + z1 * (s01 + s10) + z2 * (t01 + t10)
+                    G[i, 0, b] -= N[j, 0, b] * (
+                        d00 * (ax * ax + ay * ay)
+                        + cross * (ax * bx + ay * by)
+                        + d11 * (bx * bx + by * by)
+                    )
+        _add(found, rows, first, area, F)
+        _add(found_p, rows_p, first, area, G)
+    return found, found_p
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath={"contract"})
 def averages(
     corner: Int, rows: Int, rows_p: Int, gradient: Float, area: Float, u: Float, p: Float, m: int,
-    hat: Float, shape: Float, slope: Float, slope_p: Float, weight: Float,
+    H: Float, L: Float, J: Float,
 ) -> Float:  # fmt: skip
-    """Integrals of u, ∇p and ∇×u times the hats of the points (m, 5)."""
-    found = np.zeros((m, 5))
-    count, lp = shape.shape[1], slope_p.shape[1]
-    for e in range(len(corner)):
-        ax, ay, bx, by = gradient[e, 0, 0], gradient[e, 0, 1], gradient[e, 1, 0], gradient[e, 1, 1]
-        for q in range(len(weight)):
-            w = area[e] * weight[q]
-            x = y = a = b = xa = xb = ya = yb = 0.0
+    """Integrals of u, ∇p and ∇×u times the hats of the points (m, 5), p being (size_p, 1).
+
+    Tables: `hats`, `tilts`, and `tilts` of the pressure.
+    """
+    found, count, lp = np.zeros((m, 5)), len(H), len(J)
+    D, F = np.zeros((4, BLOCK)), np.zeros((3, 5, BLOCK))
+    U, N = np.zeros((count, 2, BLOCK)), np.zeros((lp, 1, BLOCK))
+    for first in range(0, len(corner), BLOCK):
+        _shapes(gradient, first, D)
+        _gather(u, rows, first, U)
+        _gather(p, rows_p, first, N)
+        F[:] = 0.0
+        for c in range(3):
             for i in range(count):
-                ux, uy = u[rows[e, i], 0], u[rows[e, i], 1]
-                x += shape[q, i] * ux
-                y += shape[q, i] * uy
-                xa += slope[q, i, 0] * ux
-                xb += slope[q, i, 1] * ux
-                ya += slope[q, i, 0] * uy
-                yb += slope[q, i, 1] * uy
+                h, (s0, s1) = H[i, c], L[i, c]
+                for b in range(BLOCK):
+                    x, y = U[i, 0, b], U[i, 1, b]
+                    F[c, 0, b] += h * x
+                    F[c, 1, b] += h * y
+                    F[c, 4, b] += s0 * (y * D[0, b] - x * D[1, b]) + s1 * (
+                        y * D[2, b] - x * D[3, b]
+                    )
             for i in range(lp):
-                a += slope_p[q, i, 0] * p[rows_p[e, i]]
-                b += slope_p[q, i, 1] * p[rows_p[e, i]]
-            curl = ya * ax + yb * bx - xa * ay - xb * by
-            for c in range(3):
-                s = w * hat[q, c]
-                v = corner[e, c]
-                found[v, 0] += s * x
-                found[v, 1] += s * y
-                found[v, 2] += s * (a * ax + b * bx)
-                found[v, 3] += s * (a * ay + b * by)
-                found[v, 4] += s * curl
+                s0, s1 = J[i, c]
+                for b in range(BLOCK):
+                    F[c, 2, b] += N[i, 0, b] * (s0 * D[0, b] + s1 * D[2, b])
+                    F[c, 3, b] += N[i, 0, b] * (s0 * D[1, b] + s1 * D[3, b])
+        _add(found, corner, first, area, F)
     return found
 
 
@@ -301,23 +418,24 @@ def crossing(
 
 
 @njit(cache=True)
-def passing(corner: Int, places: Float, speed: Float, n: int, way: float, share: float) -> Float:
+def passing(
+    corner: Int, gradient: Float, area: Float, speed: Float, n: int, way: float, share: float
+) -> Float:
     """How fast discs, the first n points, pass their neighbours [1/s], at edges of triangles (e,).
 
     Relative speed over `way` [m], and over this share of the distance if one is no disc.
     """
     rate, count = np.empty(3 * len(corner)), 0
     for e in range(len(corner)):
-        for k in range(3):
+        (ax, ay), (bx, by) = gradient[e, 0], gradient[e, 1]
+        for k, (x, y) in enumerate(((ax, ay), (bx, by), (ax + bx, ay + by))):
             i, j = corner[e, k], corner[e, k - 1]
             if i >= n and j >= n:
                 continue
             u, v = speed[i, 0] - speed[j, 0], speed[i, 1] - speed[j, 1]
             free = way
-            if i >= n or j >= n:
-                x = places[e, k, 0] - places[e, k - 1, 0]
-                y = places[e, k, 1] - places[e, k - 1, 1]
-                free = share * np.sqrt(x * x + y * y)
+            if i >= n or j >= n:  # (x, y) is ∇λ of the corner opposite
+                free = share * 2.0 * area[e] * np.sqrt(x * x + y * y)
             rate[count] = np.sqrt(u * u + v * v) / free
             count += 1
     return rate[:count]
@@ -328,10 +446,8 @@ def roughness(corner: Int, gradient: Float, area: Float, flow: Float) -> Float:
     """Largest speed of a flow (m, 2) at the corners times the longest edge [m2/s], (t,)."""
     found = np.empty(len(corner))
     for e in range(len(corner)):
-        longest = speed = 0.0
-        third = gradient[e, 0] + gradient[e, 1]
-        for g in (gradient[e, 0], gradient[e, 1], third):
-            longest = max(longest, g[0] ** 2 + g[1] ** 2)
+        (ax, ay), (bx, by), speed = gradient[e, 0], gradient[e, 1], 0.0
+        longest = max(ax * ax + ay * ay, bx * bx + by * by, (ax + bx) ** 2 + (ay + by) ** 2)
         for k in range(3):
             v = corner[e, k]
             speed = max(speed, flow[v, 0] ** 2 + flow[v, 1] ** 2)
@@ -356,6 +472,6 @@ def at_sides(
 
 
 __all__ = [
-    "at_sides", "averages", "completed", "condense", "condensed", "convected", "crossing",
-    "gradients", "matrices", "passing", "product", "roughness", "sources", "weighted",
+    "at_sides", "averages", "completed", "condensed", "convected", "crossing",
+    "gradients", "matrices", "passing", "product", "roughness", "sources", "spread", "weighted",
 ]  # fmt: skip

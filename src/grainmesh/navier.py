@@ -48,13 +48,14 @@ from numpy.typing import NDArray
 from grainmesh import integrals
 from grainmesh.carry import Keys, Topology, unknowns
 from grainmesh.element import (
-    Element,
+    at_edges,
+    at_rule,
     divergences,
-    edge_rule,
     element,
+    hats,
     masses,
-    rule,
     slopes,
+    tilts,
 )
 from grainmesh.fronts import Fronts
 from grainmesh.lagged import gmres, norm
@@ -63,7 +64,6 @@ Float = NDArray[np.float64]
 Int = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-HATS = Element(1)
 #: Residual of the flow by single forces.
 MOBILITY_TOLERANCE, MOST = 1e-9, 40
 
@@ -104,6 +104,8 @@ class Operator:
         The parts of E and S that act by averages, Eq. (5), linear.
     stirred : (t,)
         Viscosity besides mu [Pa s].
+    memory : (any,)
+        Where the matrices are; the next operator may have it, since new memory costs as much time.
     free : (N,)
         Unknowns, u_x and u_y in turn and then p, that are solved for.
     floating : bool
@@ -133,9 +135,12 @@ class Operator:
         own, other = self.keys, self.pressure_keys
         self.split = 2 * own.size
         self.u, self.p = np.zeros((own.size, 2)), np.zeros(other.size)
-        self.eps, self.inertia, self.E, self.S, self.dE, self.dS = np.zeros((6, m))
-        self.f, self.g, self.w = np.zeros((3, m, 2))
-        self.stirred = np.zeros(t)
+        # What a loop over the triangles needs at a point lies together.
+        self.fields = fields = np.zeros((m, 12))
+        self.w, self.f, self.g = fields[:, :2], fields[:, 6:8], fields[:, 8:10]
+        self.eps, self.inertia, self.E, self.S = fields[:, 2:6].T
+        self.dE, self.dS = fields[:, 10:].T
+        self.stirred, self.memory = np.zeros(t), np.empty(0)
         outer, inner = 3 * order, own.rows.shape[1] - 3 * order
         self.rows = unknowns(own, other, outer)
         self.outer = self.rows.shape[1] - 2 * inner
@@ -164,27 +169,25 @@ class Operator:
 
     def momentum(self) -> Float:
         """∫ρ ε u·v, (size, 2)."""
-        return self.density * self._weighted(self.u)
+        on = self.topology.corners, self.keys.rows, self.area
+        eps, M = self.fields[:, 2:3], masses(self.keys.element)
+        found: Float = integrals.weighted(*on, eps, self.u, M)
+        return self.density * found
 
     def mass(self) -> Float:
         """∫ρ ε v for each component, (size,)."""
-        one = np.zeros((self.keys.size, 1))
-        one[: len(self.eps)] = 1.0
-        return self.density * self._weighted(one)[:, 0]
-
-    def _weighted(self, u: Float) -> Float:
         on = self.topology.corners, self.keys.rows, self.area
-        found: Float = integrals.weighted(*on, self.eps, u, masses(self.keys.element))
-        return found
+        found: Float = integrals.spread(*on, self.eps, hats(self.keys.element), self.keys.size)
+        return self.density * found
 
     def convection(self, e: Float) -> tuple[Float, Float]:
         """C of a velocity e (size, 2), and what of R is not the change of mass (size,)."""
         one = self.keys.element
-        places, weight = rule(3 * one.degree)
-        C, drained = integrals.convected(
-            self.topology.corners, self.keys.rows, self.gradient, self.area, self.eps, e, self.w,
-            places, one.shape(places), one.slope(places), weight,
+        found = integrals.convected(
+            self.topology.corners, self.keys.rows, self.gradient, self.area, self.fields[:, :3], e,
+            *at_rule(one, 3 * one.degree),
         )  # fmt: skip
+        C, drained = found[:, :2], found[:, 2]
         if len(self.outlets):  # what flows in has the mean velocity, by Eq. (6)
             velocity, eps, normal, shape = self._at_sides(self.outlets, e, 3 * self.order + 1)
             out = eps * np.maximum((velocity * normal).sum(axis=2), 0.0)
@@ -196,8 +199,7 @@ class Operator:
     def inflow(self, given: Float) -> Float:
         """∮q ε u·n of a given superficial velocity ε u (size, 2), (size of p,)."""
         flux, _, normal, _ = self._at_sides(self.inlets, given, 2 * self.order)
-        places = edge_rule(2 * self.order)[0]
-        q = self.pressure_keys.element.shape(places.reshape(-1, 3)).reshape(*places.shape[:2], -1)
+        q = at_edges(self.pressure_keys.element, 2 * self.order)[1]
         found = np.zeros(self.pressure_keys.size)
         through = (flux * normal).sum(axis=2)
         t, k = self.inlets.T
@@ -206,8 +208,7 @@ class Operator:
 
     def along(self, edges: Int, values: Float, keys: Keys, eps: Float | None = None) -> Float:
         """∫ds of fields (size, c) along edges, times ε if given, (c,)."""
-        places, weight = edge_rule(2 * self.order)
-        shape = keys.element.shape(places.reshape(-1, 3)).reshape(*places.shape[:2], -1)
+        places, shape, weight = at_edges(keys.element, 2 * self.order)
         one = np.ones(len(self.eps)) if eps is None else eps
         found, e, normal = integrals.at_sides(
             edges, self.topology.corners, keys.rows, self.gradient, self.area, one, values,
@@ -219,8 +220,7 @@ class Operator:
 
     def _at_sides(self, edges: Int, u: Float, degree: int) -> tuple[Float, Float, Float, Float]:
         """Velocity, ε, n ds and shape functions on edges (b, q, ...)."""
-        places, weight = edge_rule(degree)
-        shape = self.keys.element.shape(places.reshape(-1, 3)).reshape(*places.shape[:2], -1)
+        places, shape, weight = at_edges(self.keys.element, degree)
         velocity, eps, normal = integrals.at_sides(
             edges, self.topology.corners, self.keys.rows, self.gradient, self.area, self.eps, u,
             places, shape, weight,
@@ -230,50 +230,53 @@ class Operator:
     def source(self) -> Float:
         """Right sides of (1) and (2) by particles, with the fields at hand for Eq. (5), (N,)."""
         one, other = self.keys.element, self.pressure_keys.element
-        places, weight = rule(max(2 * self.order, one.degree + 1))
         F, G = integrals.sources(
             self.topology.corners, self.keys.rows, self.pressure_keys.rows, self.gradient,
-            self.area, self.u, self.p, self.f, self.g, self.dE, self.dS,
-            places, one.shape(places), other.slope(places), weight,
+            self.area, self.fields[:, 6:], self.u, self.p[:, None],
+            hats(one), tilts(other), divergences(one, other), slopes(other),
         )  # fmt: skip
-        return np.concatenate([F.ravel(), G])
+        return np.concatenate([F.ravel(), G.ravel()])
 
-    def means(self) -> tuple[Float, Float, Float]:
-        """Integrals of u (m, 2), ∇p (m, 2) and ∇×u (m,) times the hats of the points."""
+    def means(self) -> Float:
+        """Integrals of u, ∇p and ∇×u times the hats of the points (m, 5)."""
         one, other = self.keys.element, self.pressure_keys.element
-        places, weight = rule(one.degree + 1)
-        found = integrals.averages(
+        found: Float = integrals.averages(
             self.topology.corners, self.keys.rows, self.pressure_keys.rows, self.gradient,
-            self.area, self.u, self.p, len(self.eps),
-            places, one.shape(places), one.slope(places), other.slope(places), weight,
+            self.area, self.u, self.p[:, None], len(self.eps),
+            hats(one), tilts(one), tilts(other),
         )  # fmt: skip
-        return found[:, :2], found[:, 2:4], found[:, 4]
+        return found
 
     # --- the matrix ---------------------------------------------------------------------------
 
     def assemble(self) -> None:
         """The matrices of the triangles for the present fields and places of the points."""
         one, other = self.keys.element, self.pressure_keys.element
-        self.K = integrals.matrices(
-            self.topology.corners, self.gradient, self.area, 3 * self.order,
-            self.inertia, self.eps, self.viscosity + self.stirred, self.E, self.S,
-            masses(one), slopes(one), divergences(one, other), slopes(other),
+        (t, n), left = self.rows.shape, self.outer
+        split, size = t * left**2, t * (left**2 + (n - left) * n)
+        if len(self.memory) < size:
+            self.memory = np.empty(size + size // 16)
+        self.K = self.memory[:split].reshape(t, left, left)
+        self.inner = self.memory[split:size].reshape(t, n - left, n)
+        integrals.matrices(
+            self.topology.corners, self.gradient, self.area, 3 * self.order, self.fields[:, 2:6],
+            self.viscosity + self.stirred,
+            masses(one), slopes(one), divergences(one, other), slopes(other), self.K, self.inner,
         )  # fmt: skip
-        integrals.condense(self.K, self.outer)
 
     def apply(self, x: Float) -> Float:
         """Left sides of (1) and (2) for unknowns (N,), those inside of triangles eliminated."""
-        found: Float = integrals.product(self.K, self.rows, x, self.outer)
+        found: Float = integrals.product(self.K, self.rows, x)
         return found
 
     def condensed(self, f: Float) -> Float:
         """Right sides (N,) for `apply`."""
-        found: Float = integrals.condensed(self.K, self.rows, f, self.outer)
+        found: Float = integrals.condensed(self.inner, self.rows, f)
         return found
 
     def completed(self, f: Float, x: Float) -> None:
         """Put the unknowns inside of triangles into x; f is of `condensed`."""
-        integrals.completed(self.K, self.rows, f, x, self.outer)
+        integrals.completed(self.inner, self.rows, f, x)
 
     @property
     def sought(self) -> Mask:

@@ -642,7 +642,8 @@ class Simulation:
         except BaseException:
             self._restore(good)
             raise
-        stay, rank = np.isin(before, self.ids), self._rank
+        rank = self._rank
+        stay = slice(None) if len(rank) == len(before) else np.isin(before, self.ids)
         contact = self._s[:, [FX, FY, T]]
         contact[:, :2] -= self._p[:, [EX, EY]]
         contact[:, 2] -= self._drag[:, 2]
@@ -682,7 +683,7 @@ class Simulation:
 
     def _fall(self) -> Float:
         """Accelerations by gravity, in the same columns."""
-        fall: Float = np.where(self._p[:, IM, None] > 0.0, [*self.model.gravity, 0.0], 0.0)
+        fall: Float = (self._p[:, IM] > 0.0)[:, None] * np.array([*self.model.gravity, 0.0])
         return fall
 
     def _force_outside(self) -> None:
