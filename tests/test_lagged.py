@@ -38,7 +38,7 @@ def applied(op):
 def preconditioner(op, names, known=None):
     """A factor with these names, for these unknowns."""
     known = op.sought if known is None else known
-    return lagged(op).preconditioner(np.where(known, names, -1))
+    return lagged(op).preconditioner(known, names)
 
 
 def lagged(op):
@@ -90,26 +90,24 @@ def test_gmres_has_nothing_to_do_below_its_tolerance():
 
 def test_unknowns_may_be_numbered_anew():
     op, rng = operator(), np.random.default_rng(2)
-    names = np.arange(len(op.free))
-    factor, r = lagged(op), op.sought * rng.normal(size=len(op.free))
-    known = np.where(op.sought, names, -1)
-    z = factor.preconditioner(known)(r)
+    names, known = np.arange(len(op.free)), op.sought
+    factor, r = lagged(op), known * rng.normal(size=len(op.free))
+    z = factor.preconditioner(known, names)(r)
     order = rng.permutation(len(r))
-    assert np.array_equal(factor.preconditioner(known[order])(r[order]), z[order])
+    assert np.array_equal(factor.preconditioner(known[order], names[order])(r[order]), z[order])
 
 
 def test_unknowns_that_the_factor_does_not_have_stay_0_and_it_forgets_what_is_gone():
     op, rng = operator(), np.random.default_rng(3)
-    names = np.arange(len(op.free))
-    factor, r = lagged(op), op.sought * rng.normal(size=len(op.free))
-    known = np.where(op.sought, names, -1)
+    names, known = np.arange(len(op.free)), op.sought
+    factor, r = lagged(op), known * rng.normal(size=len(op.free))
     new = rng.random(len(r)) < 0.2
-    z = factor.preconditioner(np.where(new & op.sought, known + 10**6, known))(r)
+    z = factor.preconditioner(known, np.where(new, names + 10**6, names))(r)
     assert not z[new].any()
-    left_out = factor.preconditioner(known)(np.where(new, 0.0, r))
+    left_out = factor.preconditioner(known, names)(np.where(new, 0.0, r))
     assert np.array_equal(z[~new], left_out[~new])
     # What one application leaves behind does not show in the next.
-    fewer = factor.preconditioner(known[~new])
+    fewer = factor.preconditioner(known[~new], names[~new])
     assert np.array_equal(fewer(r[~new]), z[~new])
 
 

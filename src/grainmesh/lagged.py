@@ -47,11 +47,12 @@ class Lagged:
         self._factor, self._size = factor, len(sought)
         self._place, self._names = kept[order], names[kept][order]
 
-    def preconditioner(self, names: Int) -> Apply:
+    def preconditioner(self, sought: Mask, names: Int) -> Apply:
         """P of Eq. (1) for unknowns of these names; 0 for those that it does not have."""
-        place = np.searchsorted(self._names, names).clip(max=len(self._names) - 1)
-        known = np.flatnonzero(self._names[place] == names)
-        place = self._place[place[known]]
+        known = np.flatnonzero(sought)
+        place = np.searchsorted(self._names, names[known]).clip(max=len(self._names) - 1)
+        there = self._names[place] == names[known]
+        known, place = known[there], self._place[place[there]]
 
         def apply(r: Float) -> Float:
             f, z = np.zeros(self._size), np.zeros_like(r)

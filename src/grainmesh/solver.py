@@ -143,22 +143,21 @@ class Solver:
     def _make(self, op: Operator, points: Float) -> None:
         on = op.topology
         self._factor = Lagged(op.factor(), op.sought, op.names)
-        self._on, self._gradient = on, op.gradient.copy()
-        self._order = np.argsort(on.numbers)
+        self._triangles, self._gradient = on.numbers, op.gradient.copy()
         self.factors += 1
         self.recipe = {"triangles": on.triangles, "shifts": on.shifts, "points": points.copy()}
         self.recipe |= {key: getattr(op, key).copy() for key in FIELDS}
 
     def _preconditioner(self, op: Operator) -> tuple[Apply, float]:
         """The factor at hand, mended on triangles that are new or look new; their share of all."""
-        on, sought, names = op.topology, op.sought, op.names
+        on, sought = op.topology, op.sought
         assert self._factor is not None
-        first = self._factor.preconditioner(np.where(sought, names, -1))
-        order, old = self._order, self._on.numbers
-        place = order[np.searchsorted(old, on.numbers, sorter=order).clip(max=len(order) - 1)]
-        change = np.abs(op.gradient - self._gradient[place]).max(axis=(1, 2))
-        fresh = old[place] != on.numbers
-        fresh |= change > CHANGE * np.abs(self._gradient[place]).max(axis=(1, 2))
+        first = self._factor.preconditioner(sought, op.names)
+        t = min(len(on.numbers), len(self._triangles))
+        change = np.abs(op.gradient[:t] - self._gradient[:t]).max(axis=(1, 2))
+        fresh = np.ones(len(on.numbers), dtype=bool)
+        fresh[:t] = change > CHANGE * np.abs(self._gradient[:t]).max(axis=(1, 2))
+        fresh[:t] |= on.numbers[:t] != self._triangles[:t]
         if not fresh.any():
             return first, 0.0
         near = np.zeros(on.count, dtype=bool)
