@@ -18,8 +18,16 @@ C_i ∩ T, with T a triangle, is a convex polygon, over which a hat integrates e
 
     ∫_{C_i ∩ T} φ_v = |C_i ∩ T| φ_v(centroid of C_i ∩ T).                                     (3)
 
-The triangles that C_i overlaps hang together by the edges it crosses: a walk from x_i over these
-edges finds them all. The circle is a regular polygon of `CORNERS` corners with the same area.
+Neighbours come from a power triangulation of the particles alone, kept by flips (`nodes.alone`).
+With D = x_j - x_i, c = (|D|² + r_i² - r_j²)/2 and the same D', c' of the next neighbour, their
+cells and C_i meet in
+
+    x_i + (c D'_y - c' D_y, c' D_x - c D'_x) / (D × D').                                      (4)
+
+If x_i is in C_i, a triangle x_i a b of the mesh holds the sector of C_i between the rays to a and
+b, but for what lies beyond ab. A walk over the edges that C_i crosses finds all other triangles.
+The circle is a regular polygon of `CORNERS` corners with the same area. Neighbours are taken from
+the one of the smallest number on, so that S does not depend on the order of the triangles.
 """
 
 from __future__ import annotations
@@ -31,10 +39,9 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from grainmesh.cells import Diagram, diagram, wrapped
-from grainmesh.domain import Box
 from grainmesh.errors import InputError
 from grainmesh.flips import _back
+from grainmesh.living import Living
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int32]
@@ -47,48 +54,64 @@ MISSED = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """How particles are spread over vertices.
+    """How n particles are spread over m vertices: S_iv of Eq. (1), row by row.
 
     Parameters
     ----------
     area : (n,)
         Area A_i of the cell, cut by the walls and by the reach [m2].
-    share : csr_array (n, m)
-        S_iv, Eq. (1): not negative but for round-off, rows sum to 1.
-    cells : Diagram
-        Neighbours of the cells.
+    start : (n + 1,)
+        First entry of each row.
+    vertex, value : (l,)
+        v and S_iv of the entries: not negative but for round-off, rows sum to 1.
+    hats : (m,)
+        h_v, Eq. (2) [m2]; 0 for points that are no vertex.
     """
 
     area: Float
-    share: csr_array
-    cells: Diagram
+    start: Int
+    vertex: Int
+    value: Float
+    hats: Float
+
+    @property
+    def share(self) -> csr_array:
+        """S (n, m)."""
+        shape = len(self.area), len(self.hats)
+        return csr_array((self.value, self.vertex, self.start), shape=shape)
+
+    def sums(self, values: Float) -> Float:
+        """sum_i S_iv f_i of values (n,) or (n, k), as (m,) or (m, k)."""
+        columns = np.ascontiguousarray(values.reshape(len(values), -1))
+        found: Float = _sums(self.start, self.vertex, self.value, columns, len(self.hats))
+        return found.reshape(-1, *values.shape[1:])
+
+    def means(self, values: Float) -> Float:
+        """sum_v S_iv f_v of values (m,) or (m, k), as (n,) or (n, k)."""
+        columns = np.ascontiguousarray(values.reshape(len(values), -1))
+        found: Float = _means(self.start, self.vertex, self.value, columns)
+        return found.reshape(-1, *values.shape[1:])
 
 
 def spread(
-    box: Box,
-    x: Float,
-    radius: Float,
+    bed: Living,
     reach: float,
-    points: Float,
-    triangles: Int,
-    neighbours: Int,
-    shifts: Int,
+    mesh: Living,
     before: Spread | None = None,
     changed: NDArray[np.bool_] | None = None,
 ) -> Spread:
-    """Shares of the vertices in the power cells of the particles, Eqs. (1)-(3).
+    """Shares of the vertices in the power cells of the particles, Eqs. (1)-(4).
 
     Parameters
     ----------
-    box : Box
-        Cells end at its walls, if it has any.
-    x, radius : (n, 2), (n,)
-        Discs [m]; in a periodic box anywhere.
+    bed : Living
+        Power triangulation of the particles where they are, and of nodes that no place of the box
+        within reach of a particle is nearer to, see `nodes.alone`.
     reach : float
         Radius of the circle that cuts the cells [m]; ``np.inf`` for none.
-    points, triangles, neighbours, shifts
-        Mesh as in `living.Living`; the first n points are `x`. Vertices may be unused.
-
+    mesh : Living
+        Any triangulation of the box by positive triangles, the first n points as those of `bed`.
+        Others may be unused.
     before, changed : Spread, (m,) bool, optional
         What was found with all points at the same places, and the corners of the triangles, old
         and new, in which the meshes differ: only what touches these is computed again.
@@ -104,66 +127,145 @@ def spread(
     """
     if not reach > 0.0:
         raise InputError(f"the reach of the particles is {reach:g} m, it must be positive")
-    window = np.array([[0.0, 0.0], box.size])
-    inside = wrapped(box, x)
-    # No cell has a point farther from its particle than this: all is finite without a reach.
-    far = box.size if box.periodic else np.maximum(np.abs(x), np.abs(x - box.size)).max(axis=0)
-    reach = min(reach, 2.0 * float(np.hypot(*far)))
+    size, n = bed.box.size, int(np.count_nonzero(bed.weight))
+    # No cell has a point farther from its particle than the diagonal: all is finite.
+    circle = _circle(min(reach, 2.0 * float(np.hypot(*size))))
     if before is None or changed is None:
-        found = diagram(box, inside, radius**2, radius, window, far=2.0 * reach)
-        kept = csr_array((len(x), len(points)))
-        again, area = np.ones(len(x), dtype=bool), np.zeros(len(x))
+        old = np.zeros(n + 1, np.int32), np.empty(0, np.int32), np.empty(0), np.empty(0)
+        changed = np.empty(0, np.bool_)
     else:
-        found, kept, area = before.cells, before.share, before.area.copy()
-        touched = np.zeros(kept.nnz + 1, np.int64)
-        np.cumsum(changed[kept.indices], out=touched[1:])
-        again = touched[kept.indptr[1:]] > touched[kept.indptr[:-1]]
-    square, circle = _regular(4, 2.0 * reach), _regular(CORNERS, reach)
-    period = box.size if box.periodic else np.zeros(2)
-    # Copies: a read-only array would be compiled for once more.
-    bonds = found.start, found.neighbour, found.shift
-    cell = inside.copy(), radius**2, *bonds, period, square, circle
-    mesh = points.copy(), triangles.copy(), neighbours.copy(), shifts.copy()
-    old = again, area, kept.indptr, kept.indices, kept.data
-    missed, start, vertex, share = _shares(*cell, window, not box.periodic, *mesh, *old)
-    if missed.any():
-        i = int(np.flatnonzero(missed)[0])
-        if area[i] <= 0.0:
+        old = before.start, before.vertex, before.value, before.area
+    own = bed.points, bed.triangles, bed.neighbours, bed.shifts
+    arrays = mesh.points, mesh.triangles, mesh.neighbours, mesh.shifts
+    missed, area, start, vertex, value = _shares(
+        *own, bed.weight, n, bed.period, size, circle, *arrays, changed, *old
+    )
+    if missed >= 0:
+        if area[missed] <= 0.0:
             raise InputError(
-                f"the cell of particle {i} is empty: it lies outside the box, beyond the reach or "
-                "behind the discs around it, correct the centres or reduce the diameters"
+                f"the cell of particle {missed} is empty: it lies outside the box, beyond the "
+                "reach or behind the discs around it, correct the centres or reduce the diameters"
             )
         raise InputError(
-            f"the mesh does not cover the cell of particle {i}: it must cover the box once, with "
-            "positive triangles"
+            f"the mesh does not cover the cell of particle {missed}: it must cover the box once, "
+            "with positive triangles"
         )
-    area.setflags(write=False)
-    return Spread(area, csr_array((share, vertex, start), shape=(len(x), len(points))), found)
+    return Spread(area, start, vertex, value, _hats(*arrays, mesh.period))
 
 
-def _regular(corners: int, radius: float) -> Float:
-    """Regular polygon with the area of a circle about 0, sides across the axes, (corners, 2)."""
-    angle = np.pi / corners
-    turn = angle * (2.0 * np.arange(corners) + 1.0)
+def _circle(radius: float) -> Float:
+    """Regular polygon with the area of a circle about 0, (CORNERS, 2)."""
+    angle = np.pi / CORNERS
+    turn = angle * (2.0 * np.arange(CORNERS) + 1.0)
     distance = radius * np.sqrt(2.0 * angle / np.sin(2.0 * angle))
     polygon: Float = distance * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     return polygon
 
 
 @njit(cache=True)
+def _sums(start, vertex, value, columns, m):  # type: ignore[no-untyped-def]
+    found = np.zeros((m, columns.shape[1]))
+    for i in range(len(start) - 1):
+        for e in range(start[i], start[i + 1]):
+            for k in range(columns.shape[1]):
+                found[vertex[e], k] += value[e] * columns[i, k]
+    return found
+
+
+@njit(cache=True)
+def _means(start, vertex, value, columns):  # type: ignore[no-untyped-def]
+    found = np.zeros((len(start) - 1, columns.shape[1]))
+    for i in range(len(start) - 1):
+        for e in range(start[i], start[i + 1]):
+            for k in range(columns.shape[1]):
+                found[i, k] += value[e] * columns[vertex[e], k]
+    return found
+
+
+@njit(cache=True)
+def _hats(points, triangles, neighbours, shifts, period):  # type: ignore[no-untyped-def]
+    """h_v of all points."""
+    found = np.zeros(len(points))
+    for t in range(len(triangles)):
+        ax, ay = _away(points, triangles, shifts, period, t, 0, 1)
+        bx, by = _away(points, triangles, shifts, period, t, 0, 2)
+        for k in range(3):
+            found[triangles[t, k]] += (ax * by - ay * bx) / 6.0
+    return found
+
+
+@njit(cache=True, forceinline=True)
+def _away(points, triangles, shifts, period, t, k, a):  # type: ignore[no-untyped-def]
+    """Corner a of triangle t, seen from corner k."""
+    i, j = triangles[t, k], triangles[t, a]
+    return (
+        points[j, 0] - points[i, 0] + (shifts[t, a, 0] - shifts[t, k, 0]) * period[0],
+        points[j, 1] - points[i, 1] + (shifts[t, a, 1] - shifts[t, k, 1]) * period[1],
+    )
+
+
+@njit(cache=True)
+def _stars(triangles, m):  # type: ignore[no-untyped-def]
+    """A triangle of each of m vertices, -1 for none, and how many it has."""
+    star, degree = np.full(m, -1, np.int32), np.zeros(m, np.int32)
+    for t in range(len(triangles)):
+        for k in range(3):
+            star[triangles[t, k]] = t
+            degree[triangles[t, k]] += 1
+    return star, degree
+
+
+@njit(cache=True)
+def _ring(points, triangles, neighbours, shifts, period, i, t, spoke, place):  # type: ignore[no-untyped-def]
+    """Triangles around vertex i, of which t is one, counter-clockwise; their number, 0 if open.
+
+    Row d of `spoke` is a triangle and its corner i, row d of `place` the corner that comes next,
+    seen from there. The first of these has the smallest number, and of its images the lowest.
+    """
+    k = 0
+    while triangles[t, k] != i:
+        k += 1
+    u, j, size, first = t, k, 0, 0
+    low = (np.int32(0), np.int32(0), np.int32(0))
+    while True:
+        a = (j + 1) % 3
+        spoke[size, 0], spoke[size, 1] = u, j
+        place[size, 0], place[size, 1] = _away(points, triangles, shifts, period, u, j, a)
+        name = (
+            triangles[u, a],
+            np.int32(shifts[u, a, 0] - shifts[u, j, 0]),
+            np.int32(shifts[u, a, 1] - shifts[u, j, 1]),
+        )
+        if size == 0 or name < low:
+            low, first = name, size
+        size += 1
+        w = neighbours[u, a]
+        if w < 0:
+            return 0
+        j = (_back(triangles, neighbours, shifts, u, a, w) + 1) % 3
+        u = w
+        if u == t and j == k:
+            break
+    for d in range(first):  # turned round, by way of the room behind
+        spoke[size + d], place[size + d] = spoke[d], place[d]
+    for d in range(size):
+        spoke[d], place[d] = spoke[d + first], place[d + first]
+    place[size] = place[0]
+    return size
+
+
+@njit(cache=True)
 def _moments(p, m):  # type: ignore[no-untyped-def]
-    """Area and centroid of a polygon of m vertices."""
-    area = cx = cy = 0.0
+    """Area and its first moments of a polygon of m vertices."""
+    area = mx = my = 0.0
     for k in range(2, m):  # in triangles from vertex 0, so that no digits are lost
         ax, ay = p[k - 1, 0] - p[0, 0], p[k - 1, 1] - p[0, 1]
         bx, by = p[k, 0] - p[0, 0], p[k, 1] - p[0, 1]
         part = 0.5 * (ax * by - ay * bx)
         area += part
-        cx += part * (ax + bx) / 3.0
-        cy += part * (ay + by) / 3.0
-    if area <= 0.0:
-        return 0.0, 0.0, 0.0
-    return area, p[0, 0] + cx / area, p[0, 1] + cy / area
+        mx += part * (ax + bx) / 3.0
+        my += part * (ay + by) / 3.0
+    return area, mx + area * p[0, 0], my + area * p[0, 1]
 
 
 @njit(cache=True)
@@ -197,34 +299,44 @@ def _clip(p, m, q, du, dv, c, edge):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _cell(  # type: ignore[no-untyped-def]
-    i, x, weight, start, other, image, period, outline, window, walls, p, q
+    points, triangles, weight, i, spoke, place, degree, walls, size, circle, p, q
 ):
-    """C_i within an outline, relative to x_i: number of vertices, polygon, and what is spare."""
-    m, at_wall = len(outline), False
-    if start[i] == start[i + 1]:  # not even sides of the window
-        m = 0
-    for k in range(m):
-        p[k, 0], p[k, 1] = outline[k, 0], outline[k, 1]
-    for e in range(start[i], start[i + 1]):
-        j = other[e]
-        if j < 0:
-            at_wall = walls
-            continue
-        dx = x[j, 0] - x[i, 0] + image[e, 0] * period[0]
-        dy = x[j, 1] - x[i, 1] + image[e, 1] * period[1]
-        c = 0.5 * (dx * dx + dy * dy + weight[i] - weight[j])  # Eq. (2) of cells, times D
-        size = _clip(p, m, q, dx, dy, c, -1)
-        if size >= 0:
-            m, p, q = size, q, p
-    if at_wall:
-        for axis in range(2):
-            for side in range(2):
-                out = 2.0 * side - 1.0
-                c = out * (window[side, axis] - x[i, axis])
-                size = _clip(p, m, q, out * (1 - axis), out * axis, c, -1)
-                if size >= 0:
-                    m, p, q = size, q, p
-    return m, p, q
+    """C_i seen from x_i: whether that is inside, number of vertices, polygon, and what is spare."""
+    inside, farthest = True, 0.0
+    inner = 0.25 * ((circle[0] + circle[-1]) ** 2).sum()  # of the circle inscribed, squared
+    for d in range(degree):
+        j = triangles[spoke[d, 0], (spoke[d, 1] + 1) % 3]
+        dx, dy = place[d, 0], place[d, 1]
+        place[d, 2] = 0.5 * (dx * dx + dy * dy + weight[i] - weight[j])  # c
+        inside &= place[d, 2] > 0.0
+    place[degree] = place[0]
+    for d in range(degree):
+        ax, ay, a = place[d, 0], place[d, 1], place[d, 2]
+        bx, by, b = place[d + 1, 0], place[d + 1, 1], place[d + 1, 2]
+        cross = ax * by - ay * bx
+        if cross <= 0.0:  # by round-off
+            farthest = np.inf
+            break
+        p[d, 0], p[d, 1] = (a * by - b * ay) / cross, (b * ax - a * bx) / cross  # Eq. (4)
+        farthest = max(farthest, p[d, 0] ** 2 + p[d, 1] ** 2)
+    m = degree
+    if farthest > inner:  # cut out of the circle, so that no digits are lost
+        m = len(circle)
+        for k in range(m):
+            p[k, 0], p[k, 1] = circle[k, 0], circle[k, 1]
+        for d in range(degree):
+            left = _clip(p, m, q, place[d, 0], place[d, 1], place[d, 2], -1)
+            if left >= 0:
+                m, p, q = left, q, p
+    for side in range(4 * walls):
+        axis, out = side // 2, 2.0 * (side % 2) - 1.0
+        c = out * ((side % 2) * size[axis] - points[i, axis])
+        inside &= c > 0.0
+        if c <= 0.0 or c * c < farthest:
+            left = _clip(p, m, q, out * (1 - axis), out * axis, c, -1)
+            if left >= 0:
+                m, p, q = left, q, p
+    return inside, m, p, q
 
 
 @njit(cache=True)
@@ -245,90 +357,149 @@ def _overlap(cell, m, corner, p, q):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _shares(  # type: ignore[no-untyped-def]
-    x, weight, start, other, image, period, square, circle, window, walls,
-    points, triangles, neighbours, shifts, again, area, old_first, old_vertex, old_share,
-):  # fmt: skip
-    """Whose walk failed, and the rows of S: first entries, vertices, values; areas in place.
+def _crossed(cell, m, ux, uy):  # type: ignore[no-untyped-def]
+    """The side of a polygon about 0 that the ray along u crosses, -1 for none by round-off."""
+    for s in range(m):
+        o = s + 1 if s + 1 < m else 0
+        if cell[s, 0] * uy >= cell[s, 1] * ux and cell[o, 0] * uy < cell[o, 1] * ux:
+            return s
+    return -1
 
-    Rows that are not to be found `again` are the old ones.
+
+@njit(cache=True)
+def _sector(cell, m, s, ax, ay, bx, by, p):  # type: ignore[no-untyped-def]
+    """The part of a polygon about 0 between the rays along a, which crosses side s, and b.
+
+    Returns the number of vertices, the side that b crosses, and whether all lies before ab.
     """
-    n, t_max = len(x), len(triangles)
-    star = np.full(len(points), -1, np.int32)  # a triangle of each vertex
-    for t in range(t_max):
-        for k in range(3):
-            star[triangles[t, k]] = t
-    room = len(circle) + 8 + (start[1:] - start[:-1]).max()  # a cut adds one vertex at most
+    twice, ex, ey = ax * by - ay * bx, bx - ax, by - ay
+    p[0, 0] = p[0, 1] = 0.0
+    size, within = 1, True
+    for k in range(m + 2):
+        o = s + 1 if s + 1 < m else 0
+        last = cell[o, 0] * by < cell[o, 1] * bx
+        if k > 0 and not last:
+            s = o
+            p[size, 0], p[size, 1] = cell[s, 0], cell[s, 1]
+        else:
+            ux, uy = (bx, by) if k > 0 else (ax, ay)
+            sx, sy = cell[o, 0] - cell[s, 0], cell[o, 1] - cell[s, 1]
+            f = (cell[s, 0] * sy - cell[s, 1] * sx) / (ux * sy - uy * sx)
+            p[size, 0], p[size, 1] = f * ux, f * uy
+        within &= ex * p[size, 1] - ey * p[size, 0] + twice >= 0.0
+        size += 1
+        if k > 0 and last:
+            break
+    return size, s, within
+
+
+@njit(cache=True)
+def _shares(  # type: ignore[no-untyped-def]
+    centres, sides, beside, images, weight, n, period, extent, circle,
+    points, triangles, neighbours, shifts, changed, old_first, old_vertex, old_share, old_area,
+):  # fmt: skip
+    """A particle whose walk failed or -1, areas, and the rows of S: first entries, vertices, values.
+
+    Rows of which no vertex has `changed` are the old ones, if there are any.
+    """
+    near, degree = _stars(sides, len(centres))
+    star, most = _stars(triangles, len(points))
+    turn = max(degree[:n].max(), most[:n].max()) + 1
+    spoke, place = np.empty((2 * turn, 2), np.int32), np.empty((2 * turn, 3))
+    room = len(circle) + turn + 8  # a cut adds one vertex at most
     cell, spare = np.empty((room, 4)), np.empty((room, 4))
     p, q = np.empty((room, 4)), np.empty((room, 4))
-    corner, phi = np.empty((3, 2)), np.empty(3)
-    missed = np.zeros(n, np.bool_)
-    first = np.zeros(n + 1, np.int32)
-    vertex, share = np.empty(16 * n + 64, np.int32), np.empty(16 * n + 64)
+    corner = np.empty((3, 2))
+    area, first = np.zeros(n), np.zeros(n + 1, np.int32)
+    vertex, share = np.empty(12 * n + 64, np.int32), np.empty(12 * n + 64)
     slot = np.full(len(points), -1, np.int64)  # entry of each vertex in the row
-    seen = np.full(t_max, -1, np.int32)  # the last particle that came by
-    todo = np.empty((64, 3), np.int32)  # triangles of the walk and their images
-    inner = 0.25 * ((circle[0] + circle[-1]) ** 2).sum()  # of the circle inscribed, squared
-    size = 0
+    seen = np.full(len(triangles), -1, np.int32)  # the last particle that came by
+    todo = np.empty((turn + 64, 3), np.int32)  # triangles of the walk and their images
+    size, missed = 0, -1
     for i in range(n):
         first[i] = size
-        if not again[i]:
+        again = len(old_area) == 0
+        for e in range(old_first[i], old_first[i + 1]):
+            again |= changed[old_vertex[e]]
+        if not again:
             while size + old_first[i + 1] - old_first[i] > len(vertex):
-                vertex = np.concatenate((vertex, np.empty_like(vertex)))
-                share = np.concatenate((share, np.empty_like(share)))
+                vertex, share = _grown(vertex, share)
             for e in range(old_first[i], old_first[i + 1]):
                 vertex[size], share[size] = old_vertex[e], old_share[e]
                 size += 1
+            area[i] = old_area[i]
             continue
-        for outline in (square, circle):  # few cells of a dense bed come near the circle
-            m, cell, spare = _cell(
-                i, x, weight, start, other, image, period, outline, window, walls, cell, spare
-            )
-            farthest = 0.0
-            for k in range(m):
-                farthest = max(farthest, cell[k, 0] ** 2 + cell[k, 1] ** 2)
-            if farthest <= inner:
-                break
-        area[i] = _moments(cell, m)[0]
-        t = star[i]
-        if area[i] <= 0.0 or t < 0:
-            missed[i] = True
-            continue
-        for k in range(3):
-            if triangles[t, k] == i:  # images are counted from the one that stands at x_i
-                todo[0, 0], todo[0, 1], todo[0, 2] = t, -shifts[t, k, 0], -shifts[t, k, 1]
-        seen[t] = i
-        done, widened, count, covered = 0, 0, 1, 0.0
+        inside = False
+        if near[i] >= 0 and star[i] >= 0:
+            count = _ring(centres, sides, beside, images, period, i, near[i], spoke, place)
+            inside, m, cell, spare = _cell(
+                centres, sides, weight, i, spoke, place, count, period[0] == 0.0, extent, circle,
+                cell, spare,
+            )  # fmt: skip
+            area[i] = _moments(cell, m)[0]
+        if area[i] <= 0.0:
+            missed = i
+            break
+        # The walk: triangles and images counted from the one that stands at x_i.
+        count = _ring(points, triangles, neighbours, shifts, period, i, star[i], spoke, place)
+        inside &= count > 0
+        if count == 0:
+            count, spoke[0, 0], spoke[0, 1] = 1, star[i], 0
+            while triangles[star[i], spoke[0, 1]] != i:
+                spoke[0, 1] += 1
+        for d in range(count):
+            t, k = spoke[d, 0], spoke[d, 1]
+            todo[d, 0], todo[d, 1], todo[d, 2] = t, -shifts[t, k, 0], -shifts[t, k, 1]
+            seen[t] = i
+        done, widened, covered = 0, 0, 0.0
+        s = _crossed(cell, m, place[0, 0], place[0, 1]) if inside else -1
+        if s >= 0:
+            done = count
+            for d in range(done):
+                t, k = spoke[d, 0], spoke[d, 1]
+                ax, ay, bx, by = place[d, 0], place[d, 1], place[d + 1, 0], place[d + 1, 1]
+                corners, s, within = _sector(cell, m, s, ax, ay, bx, by, p)
+                if not within:
+                    left = _clip(p, corners, q, by - ay, ax - bx, ax * by - ay * bx, k)
+                    if left >= 0:
+                        corners, p, q = left, q, p
+                    todo, count = _beyond(
+                        t, todo[d, 1], todo[d, 2], 1 << k, i, triangles, neighbours, shifts, seen,
+                        todo, count,
+                    )  # fmt: skip
+                part, mx, my = _moments(p, corners)
+                covered += part
+                if size + 3 > len(vertex):
+                    vertex, share = _grown(vertex, share)
+                size = _hold(
+                    triangles, t, k, ax, ay, bx, by, part, mx, my, first[i], size, slot, vertex,
+                    share,
+                )  # fmt: skip
         while done < count:
             t, sx, sy = todo[done, 0], todo[done, 1], todo[done, 2]
             for k in range(3):
                 v = triangles[t, k]
                 corner[k, 0] = points[v, 0] - points[i, 0] + (shifts[t, k, 0] + sx) * period[0]
                 corner[k, 1] = points[v, 1] - points[i, 1] + (shifts[t, k, 1] + sy) * period[1]
-            sides, p, q = _overlap(cell, m, corner, p, q)
-            part, cx, cy = _moments(p, sides)
-            if part > 0.0:  # Eq. (3)
+            corners, p, q = _overlap(cell, m, corner, p, q)
+            part, mx, my = _moments(p, corners)
+            if part > 0.0:
                 covered += part
-                ax, ay = corner[1, 0] - corner[0, 0], corner[1, 1] - corner[0, 1]
-                bx, by = corner[2, 0] - corner[0, 0], corner[2, 1] - corner[0, 1]
-                cx, cy, twice = cx - corner[0, 0], cy - corner[0, 1], ax * by - ay * bx
-                phi[1], phi[2] = (cx * by - cy * bx) / twice, (ax * cy - ay * cx) / twice
-                phi[0] = 1.0 - phi[1] - phi[2]
                 if size + 3 > len(vertex):
-                    vertex = np.concatenate((vertex, np.empty_like(vertex)))
-                    share = np.concatenate((share, np.empty_like(share)))
-                for k in range(3):
-                    v = triangles[t, k]
-                    if slot[v] < first[i]:
-                        slot[v], vertex[size], share[size] = size, v, 0.0
-                        size += 1
-                    share[slot[v]] += part * phi[k]
-            crossed = 0  # edges of T that the cell crosses, as bits
-            for k in range(sides):
+                    vertex, share = _grown(vertex, share)
+                size = _hold(
+                    triangles, t, 0,
+                    corner[1, 0] - corner[0, 0], corner[1, 1] - corner[0, 1],
+                    corner[2, 0] - corner[0, 0], corner[2, 1] - corner[0, 1],
+                    part, mx - part * corner[0, 0], my - part * corner[0, 1],
+                    first[i], size, slot, vertex, share,
+                )  # fmt: skip
+            edges = 0  # of T that the cell crosses, as bits
+            for k in range(corners):
                 if p[k, 3] >= 0.0:
-                    crossed |= 1 << int(p[k, 3])
+                    edges |= 1 << int(p[k, 3])
             todo, count = _beyond(
-                t, sx, sy, crossed, i, triangles, neighbours, shifts, seen, todo, count
+                t, sx, sy, edges, i, triangles, neighbours, shifts, seen, todo, count
             )
             done += 1
             # Round-off, or x_i is not in C_i: one more ring, whether or not the cell crosses.
@@ -338,12 +509,39 @@ def _shares(  # type: ignore[no-untyped-def]
                     t, sx, sy, 7, i, triangles, neighbours, shifts, seen, todo, count
                 )
                 widened += 1
-            if count > 64 + 9 * t_max:
+            if count > len(spoke) + 64 + 9 * len(triangles):
                 break
-        missed[i] = covered < (1.0 - MISSED) * area[i]
+        if covered < (1.0 - MISSED) * area[i]:
+            missed = i
+            break
         share[first[i] : size] /= covered
     first[n] = size
-    return missed, first, vertex[:size].copy(), share[:size].copy()
+    return missed, area, first, vertex[:size].copy(), share[:size].copy()
+
+
+@njit(cache=True)
+def _grown(vertex, share):  # type: ignore[no-untyped-def]
+    """Entries with room for more."""
+    return np.concatenate((vertex, vertex)), np.concatenate((share, share))
+
+
+@njit(cache=True)
+def _hold(  # type: ignore[no-untyped-def]
+    triangles, t, k, ax, ay, bx, by, part, mx, my, first, size, slot, vertex, share
+):
+    """Add Eq. (3) to the row from `first` on, which grows; its end.
+
+    Of a part of triangle t, area and moments seen from corner k; the next corners are a and b.
+    """
+    twice = ax * by - ay * bx
+    at_a, at_b = (mx * by - my * bx) / twice, (ax * my - ay * mx) / twice
+    for c in range(3):
+        v = triangles[t, (k + c) % 3]
+        if slot[v] < first:
+            slot[v], vertex[size], share[size] = size, v, 0.0
+            size += 1
+        share[slot[v]] += part - at_a - at_b if c == 0 else (at_a if c == 1 else at_b)
+    return size
 
 
 @njit(cache=True)
