@@ -280,8 +280,10 @@ def alone(box: Box, x: Float, radius: Float, reach: float) -> Bounded:
     Raises
     ------
     InputError
-        As `bounded`.
+        As `bounded`, or a reach that is not positive.
     """
+    if not reach > 0.0:
+        raise InputError(f"the reach of the particles is {reach:g} m, it must be positive")
     points = np.array(x)
     if not box.periodic:
         margin = min(1.1 * reach, 2.0 * float(np.hypot(*box.size)))

@@ -50,6 +50,8 @@ Int = NDArray[np.int32]
 CORNERS = 24
 #: Share of a cell that the walk may miss, by round-off, before it looks farther.
 MISSED = 1e-9
+#: The next corner of a triangle.
+NEXT = (1, 2, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,8 +107,7 @@ def spread(
     Parameters
     ----------
     bed : Living
-        Power triangulation of the particles where they are, and of nodes that no place of the box
-        within reach of a particle is nearer to, see `nodes.alone`.
+        Power triangulation of the particles where they are, `nodes.alone` for the same reach.
     reach : float
         Radius of the circle that cuts the cells [m]; ``np.inf`` for none.
     mesh : Living
@@ -123,10 +124,8 @@ def spread(
     Raises
     ------
     InputError
-        A reach that is not positive; a particle whose cell is empty or leaves the mesh.
+        A particle whose cell is empty or leaves the mesh.
     """
-    if not reach > 0.0:
-        raise InputError(f"the reach of the particles is {reach:g} m, it must be positive")
     size, n = bed.box.size, int(np.count_nonzero(bed.weight))
     # No cell has a point farther from its particle than the diagonal: all is finite.
     circle = _circle(min(reach, 2.0 * float(np.hypot(*size))))
@@ -135,10 +134,10 @@ def spread(
         changed = np.empty(0, np.bool_)
     else:
         old = before.start, before.vertex, before.value, before.area
-    own = bed.points, bed.triangles, bed.neighbours, bed.shifts
+    own = bed.points, bed.triangles, bed.shifts, bed.weight
     arrays = mesh.points, mesh.triangles, mesh.neighbours, mesh.shifts
     missed, area, start, vertex, value = _shares(
-        *own, bed.weight, n, bed.period, size, circle, *arrays, changed, *old
+        *own, n, bed.period, size, circle, *arrays, changed, *old
     )
     if missed >= 0:
         if area[missed] <= 0.0:
@@ -198,60 +197,83 @@ def _hats(points, triangles, neighbours, shifts, period):  # type: ignore[no-unt
 def _away(points, triangles, shifts, period, t, k, a):  # type: ignore[no-untyped-def]
     """Corner a of triangle t, seen from corner k."""
     i, j = triangles[t, k], triangles[t, a]
-    return (
-        points[j, 0] - points[i, 0] + (shifts[t, a, 0] - shifts[t, k, 0]) * period[0],
-        points[j, 1] - points[i, 1] + (shifts[t, a, 1] - shifts[t, k, 1]) * period[1],
-    )
+    x, y = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
+    if period[0] > 0.0:
+        x += (shifts[t, a, 0] - shifts[t, k, 0]) * period[0]
+        y += (shifts[t, a, 1] - shifts[t, k, 1]) * period[1]
+    return x, y
 
 
 @njit(cache=True)
-def _stars(triangles, m):  # type: ignore[no-untyped-def]
-    """A triangle of each of m vertices, -1 for none, and how many it has."""
-    star, degree = np.full(m, -1, np.int32), np.zeros(m, np.int32)
+def _incident(triangles, m):  # type: ignore[no-untyped-def]
+    """Triangles of each of m vertices: first entries, and entries 4 t + k for corner k of t."""
+    first, entry = np.zeros(m + 2, np.int32), np.empty(3 * len(triangles), np.int32)
     for t in range(len(triangles)):
         for k in range(3):
-            star[triangles[t, k]] = t
-            degree[triangles[t, k]] += 1
-    return star, degree
+            first[triangles[t, k] + 2] += 1
+    for v in range(m):
+        first[v + 2] += first[v + 1]
+    for t in range(len(triangles)):
+        for k in range(3):
+            v = triangles[t, k] + 1
+            entry[first[v]] = 4 * t + k
+            first[v] += 1
+    return first, entry
 
 
 @njit(cache=True)
-def _ring(points, triangles, neighbours, shifts, period, i, t, spoke, place):  # type: ignore[no-untyped-def]
-    """Triangles around vertex i, of which t is one, counter-clockwise; their number, 0 if open.
+def _ring(points, triangles, shifts, period, i, first, entry, ring, place):  # type: ignore[no-untyped-def]
+    """Triangles around vertex i, counter-clockwise; their number, 0 if they do not close.
 
-    Row d of `spoke` is a triangle and its corner i, row d of `place` the corner that comes next,
-    seen from there. The first of these has the smallest number, and of its images the lowest.
+    Rows of `ring` are a triangle, its corner i, and the next two vertices; rows of `place` the
+    first of these two, seen from i: in row 0 the one of the smallest number, and of its images the
+    lowest, which comes again at the end of `place`.
     """
-    k = 0
-    while triangles[t, k] != i:
-        k += 1
-    u, j, size, first = t, k, 0, 0
-    low = (np.int32(0), np.int32(0), np.int32(0))
-    while True:
-        a = (j + 1) % 3
-        spoke[size, 0], spoke[size, 1] = u, j
-        place[size, 0], place[size, 1] = _away(points, triangles, shifts, period, u, j, a)
-        name = (
-            triangles[u, a],
-            np.int32(shifts[u, a, 0] - shifts[u, j, 0]),
-            np.int32(shifts[u, a, 1] - shifts[u, j, 1]),
-        )
-        if size == 0 or name < low:
-            low, first = name, size
-        size += 1
-        w = neighbours[u, a]
-        if w < 0:
-            return 0
-        j = (_back(triangles, neighbours, shifts, u, a, w) + 1) % 3
-        u = w
-        if u == t and j == k:
-            break
-    for d in range(first):  # turned round, by way of the room behind
-        spoke[size + d], place[size + d] = spoke[d], place[d]
+    begin, size, periodic = first[i], first[i + 1] - first[i], period[0] > 0.0
+    if size == 0:
+        return 0
+    e = 0
     for d in range(size):
-        spoke[d], place[d] = spoke[d + first], place[d + first]
-    place[size] = place[0]
-    return size
+        t, k = entry[begin + d] >> 2, entry[begin + d] & 3
+        ring[d, 0], ring[d, 1] = t, k
+        ring[d, 2], ring[d, 3] = triangles[t, NEXT[k]], triangles[t, NEXT[NEXT[k]]]
+        if ring[d, 2] < ring[e, 2] or (
+            periodic
+            and ring[d, 2] == ring[e, 2]
+            and _image(shifts, ring, d, 1) < _image(shifts, ring, e, 1)
+        ):
+            e = d
+    d = 0
+    while True:
+        for k in range(4):
+            ring[d, k], ring[e, k] = ring[e, k], ring[d, k]
+        v, last = ring[d, 2], ring[d, 3]
+        place[d, 0], place[d, 1] = points[v, 0] - points[i, 0], points[v, 1] - points[i, 1]
+        if periodic:
+            x, y = _image(shifts, ring, d, 1)
+            place[d, 0] += x * period[0]
+            place[d, 1] += y * period[1]
+        e = d + 1
+        if e == size:
+            break
+        while e < size and (
+            ring[e, 2] != last
+            or (periodic and _image(shifts, ring, e, 1) != _image(shifts, ring, d, 2))
+        ):
+            e += 1
+        if e == size:
+            return 0
+        d += 1
+    place[size, 0], place[size, 1] = place[0, 0], place[0, 1]
+    return size if last == ring[0, 2] else 0
+
+
+@njit(cache=True)
+def _image(shifts, ring, d, after):  # type: ignore[no-untyped-def]
+    """Image of the first or second vertex after i in a row of a ring, seen from i."""
+    t, k = ring[d, 0], ring[d, 1]
+    j = (k + after) % 3
+    return shifts[t, j, 0] - shifts[t, k, 0], shifts[t, j, 1] - shifts[t, k, 1]
 
 
 @njit(cache=True)
@@ -298,27 +320,22 @@ def _clip(p, m, q, du, dv, c, edge):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _cell(  # type: ignore[no-untyped-def]
-    points, triangles, weight, i, spoke, place, degree, walls, size, circle, p, q
-):
+def _cell(points, weight, i, ring, place, degree, walls, size, circle, inner, p, q):  # type: ignore[no-untyped-def]
     """C_i seen from x_i: whether that is inside, number of vertices, polygon, and what is spare."""
     inside, farthest = True, 0.0
-    inner = 0.25 * ((circle[0] + circle[-1]) ** 2).sum()  # of the circle inscribed, squared
-    for d in range(degree):
-        j = triangles[spoke[d, 0], (spoke[d, 1] + 1) % 3]
-        dx, dy = place[d, 0], place[d, 1]
-        place[d, 2] = 0.5 * (dx * dx + dy * dy + weight[i] - weight[j])  # c
-        inside &= place[d, 2] > 0.0
-    place[degree] = place[0]
-    for d in range(degree):
-        ax, ay, a = place[d, 0], place[d, 1], place[d, 2]
-        bx, by, b = place[d + 1, 0], place[d + 1, 1], place[d + 1, 2]
-        cross = ax * by - ay * bx
-        if cross <= 0.0:  # by round-off
-            farthest = np.inf
-            break
-        p[d, 0], p[d, 1] = (a * by - b * ay) / cross, (b * ax - a * bx) / cross  # Eq. (4)
-        farthest = max(farthest, p[d, 0] ** 2 + p[d, 1] ** 2)
+    for d in range(degree + 1):
+        x, y, j = place[d, 0], place[d, 1], ring[d, 2] if d < degree else ring[0, 2]
+        c = 0.5 * (x * x + y * y + weight[i] - weight[j])
+        place[d, 2] = c
+        inside &= c > 0.0
+        if d > 0:
+            ax, ay, a = place[d - 1, 0], place[d - 1, 1], place[d - 1, 2]
+            cross = ax * y - ay * x
+            over = 1.0 / cross if cross > 0.0 else np.inf  # by round-off
+            u, v = (a * y - c * ay) * over, (c * ax - a * x) * over  # Eq. (4)
+            p[d - 1, 0], p[d - 1, 1] = u, v
+            away = u * u + v * v
+            farthest = max(farthest, away if away < np.inf else np.inf)
     m = degree
     if farthest > inner:  # cut out of the circle, so that no digits are lost
         m = len(circle)
@@ -370,111 +387,123 @@ def _crossed(cell, m, ux, uy):  # type: ignore[no-untyped-def]
 def _sector(cell, m, s, ax, ay, bx, by, p):  # type: ignore[no-untyped-def]
     """The part of a polygon about 0 between the rays along a, which crosses side s, and b.
 
-    Returns the number of vertices, the side that b crosses, and whether all lies before ab.
+    Returns its vertices, the side that b crosses, whether all lies before ab, area and moments.
     """
     twice, ex, ey = ax * by - ay * bx, bx - ax, by - ay
     p[0, 0] = p[0, 1] = 0.0
     size, within = 1, True
+    area = mx = my = 0.0
     for k in range(m + 2):
         o = s + 1 if s + 1 < m else 0
         last = cell[o, 0] * by < cell[o, 1] * bx
         if k > 0 and not last:
             s = o
-            p[size, 0], p[size, 1] = cell[s, 0], cell[s, 1]
+            x, y = cell[s, 0], cell[s, 1]
         else:
             ux, uy = (bx, by) if k > 0 else (ax, ay)
             sx, sy = cell[o, 0] - cell[s, 0], cell[o, 1] - cell[s, 1]
             f = (cell[s, 0] * sy - cell[s, 1] * sx) / (ux * sy - uy * sx)
-            p[size, 0], p[size, 1] = f * ux, f * uy
-        within &= ex * p[size, 1] - ey * p[size, 0] + twice >= 0.0
+            x, y = f * ux, f * uy
+        if k > 0:
+            part = 0.5 * (p[size - 1, 0] * y - p[size - 1, 1] * x)
+            area += part
+            mx += part * (p[size - 1, 0] + x)
+            my += part * (p[size - 1, 1] + y)
+        within &= ex * y - ey * x + twice >= 0.0
+        p[size, 0], p[size, 1] = x, y
         size += 1
         if k > 0 and last:
             break
-    return size, s, within
+    return size, s, within, area, mx / 3.0, my / 3.0
 
 
 @njit(cache=True)
 def _shares(  # type: ignore[no-untyped-def]
-    centres, sides, beside, images, weight, n, period, extent, circle,
+    centres, sides, images, weight, n, period, extent, circle,
     points, triangles, neighbours, shifts, changed, old_first, old_vertex, old_share, old_area,
 ):  # fmt: skip
-    """A particle whose walk failed or -1, areas, and the rows of S: first entries, vertices, values.
+    """A particle whose walk failed or -1, areas, and rows of S: first entries, vertices, values.
 
-    Rows of which no vertex has `changed` are the old ones, if there are any.
+    Rows of which no triangle has `changed` are the old ones, if there are any.
     """
-    near, degree = _stars(sides, len(centres))
-    star, most = _stars(triangles, len(points))
-    turn = max(degree[:n].max(), most[:n].max()) + 1
-    spoke, place = np.empty((2 * turn, 2), np.int32), np.empty((2 * turn, 3))
-    room = len(circle) + turn + 8  # a cut adds one vertex at most
+    at_centre, by_centre = _incident(sides, len(centres))
+    at_point, by_point = _incident(triangles, len(points))
+    most = 0
+    for i in range(n):
+        most = max(most, at_centre[i + 1] - at_centre[i], at_point[i + 1] - at_point[i])
+    ring, place = np.empty((most, 4), np.int32), np.empty((most + 1, 3))
+    room = len(circle) + most + 8  # a cut adds one vertex at most
     cell, spare = np.empty((room, 4)), np.empty((room, 4))
     p, q = np.empty((room, 4)), np.empty((room, 4))
     corner = np.empty((3, 2))
+    inner = 0.25 * ((circle[0] + circle[-1]) ** 2).sum()  # of the circle inscribed, squared
     area, first = np.zeros(n), np.zeros(n + 1, np.int32)
-    vertex, share = np.empty(12 * n + 64, np.int32), np.empty(12 * n + 64)
+    vertex, share = np.empty(10 * n + most + 64, np.int32), np.empty(10 * n + most + 64)
     slot = np.full(len(points), -1, np.int64)  # entry of each vertex in the row
     seen = np.full(len(triangles), -1, np.int32)  # the last particle that came by
-    todo = np.empty((turn + 64, 3), np.int32)  # triangles of the walk and their images
+    todo = np.empty((most + 64, 3), np.int32)  # triangles of the walk and their images
     size, missed = 0, -1
     for i in range(n):
         first[i] = size
-        again = len(old_area) == 0
+        touched = 3 if len(old_area) == 0 else 0
         for e in range(old_first[i], old_first[i + 1]):
-            again |= changed[old_vertex[e]]
-        if not again:
-            while size + old_first[i + 1] - old_first[i] > len(vertex):
-                vertex, share = _grown(vertex, share)
+            touched += changed[old_vertex[e]]
+        while size + max(most + 1, old_first[i + 1] - old_first[i]) > len(vertex):
+            vertex, share = _grown(vertex, share)
+        if touched < 3:  # a triangle in its walk has all three corners in the row
             for e in range(old_first[i], old_first[i + 1]):
                 vertex[size], share[size] = old_vertex[e], old_share[e]
                 size += 1
             area[i] = old_area[i]
             continue
-        inside = False
-        if near[i] >= 0 and star[i] >= 0:
-            count = _ring(centres, sides, beside, images, period, i, near[i], spoke, place)
-            inside, m, cell, spare = _cell(
-                centres, sides, weight, i, spoke, place, count, period[0] == 0.0, extent, circle,
-                cell, spare,
-            )  # fmt: skip
-            area[i] = _moments(cell, m)[0]
-        if area[i] <= 0.0:
+        count = _ring(centres, sides, images, period, i, at_centre, by_centre, ring, place)
+        if count == 0:
             missed = i
             break
-        # The walk: triangles and images counted from the one that stands at x_i.
-        count = _ring(points, triangles, neighbours, shifts, period, i, star[i], spoke, place)
-        inside &= count > 0
-        if count == 0:
-            count, spoke[0, 0], spoke[0, 1] = 1, star[i], 0
-            while triangles[star[i], spoke[0, 1]] != i:
-                spoke[0, 1] += 1
-        for d in range(count):
-            t, k = spoke[d, 0], spoke[d, 1]
-            todo[d, 0], todo[d, 1], todo[d, 2] = t, -shifts[t, k, 0], -shifts[t, k, 1]
-            seen[t] = i
-        done, widened, covered = 0, 0, 0.0
+        inside, m, cell, spare = _cell(
+            centres, weight, i, ring, place, count, period[0] == 0.0, extent, circle, inner,
+            cell, spare,
+        )  # fmt: skip
+        area[i] = _moments(cell, m)[0]
+        count = _ring(points, triangles, shifts, period, i, at_point, by_point, ring, place)
+        if area[i] <= 0.0 or count == 0:
+            missed = i
+            break
+        # The walk begins with the triangles around x_i.
+        done, widened, covered, within = 0, 0, 0.0, True
         s = _crossed(cell, m, place[0, 0], place[0, 1]) if inside else -1
         if s >= 0:
-            done = count
-            for d in range(done):
-                t, k = spoke[d, 0], spoke[d, 1]
+            done, vertex[size], share[size] = count, i, 0.0
+            for d in range(count):
+                vertex[size + 1 + d], share[size + 1 + d] = ring[d, 2], 0.0
+            for d in range(count):
                 ax, ay, bx, by = place[d, 0], place[d, 1], place[d + 1, 0], place[d + 1, 1]
-                corners, s, within = _sector(cell, m, s, ax, ay, bx, by, p)
-                if not within:
-                    left = _clip(p, corners, q, by - ay, ax - bx, ax * by - ay * bx, k)
+                corners, s, place[d, 2], part, mx, my = _sector(cell, m, s, ax, ay, bx, by, p)
+                if place[d, 2] == 0.0:
+                    within = False
+                    left = _clip(p, corners, q, by - ay, ax - bx, ax * by - ay * bx, -1)
                     if left >= 0:
-                        corners, p, q = left, q, p
-                    todo, count = _beyond(
-                        t, todo[d, 1], todo[d, 2], 1 << k, i, triangles, neighbours, shifts, seen,
-                        todo, count,
-                    )  # fmt: skip
-                part, mx, my = _moments(p, corners)
+                        part, mx, my = _moments(q, left)
                 covered += part
-                if size + 3 > len(vertex):
-                    vertex, share = _grown(vertex, share)
-                size = _hold(
-                    triangles, t, k, ax, ay, bx, by, part, mx, my, first[i], size, slot, vertex,
-                    share,
-                )  # fmt: skip
+                at_a, at_b = _hats_at(ax, ay, bx, by, mx, my)
+                share[size] += part - at_a - at_b
+                share[size + 1 + d] += at_a
+                share[size + 2 + d if d + 1 < count else size + 1] += at_b
+            size += 1 + count
+            for e in range(first[i], size if not within else 0):
+                slot[vertex[e]] = e
+        if s < 0 or not within:
+            # Triangles and images, counted from the one that stands at x_i.
+            for d in range(count):
+                t, k = ring[d, 0], ring[d, 1]
+                todo[d, 0], todo[d, 1], todo[d, 2] = t, -shifts[t, k, 0], -shifts[t, k, 1]
+                seen[t] = i
+            for d in range(done):
+                if place[d, 2] == 0.0:
+                    todo, count = _beyond(
+                        todo[d, 0], todo[d, 1], todo[d, 2], 1 << ring[d, 1], i,
+                        triangles, neighbours, shifts, seen, todo, count,
+                    )  # fmt: skip
         while done < count:
             t, sx, sy = todo[done, 0], todo[done, 1], todo[done, 2]
             for k in range(3):
@@ -483,17 +512,23 @@ def _shares(  # type: ignore[no-untyped-def]
                 corner[k, 1] = points[v, 1] - points[i, 1] + (shifts[t, k, 1] + sy) * period[1]
             corners, p, q = _overlap(cell, m, corner, p, q)
             part, mx, my = _moments(p, corners)
-            if part > 0.0:
+            if part > 0.0:  # Eq. (3)
                 covered += part
                 if size + 3 > len(vertex):
                     vertex, share = _grown(vertex, share)
-                size = _hold(
-                    triangles, t, 0,
+                for k in range(3):
+                    v = triangles[t, k]
+                    if slot[v] < first[i]:
+                        slot[v], vertex[size], share[size] = size, v, 0.0
+                        size += 1
+                at_a, at_b = _hats_at(
                     corner[1, 0] - corner[0, 0], corner[1, 1] - corner[0, 1],
                     corner[2, 0] - corner[0, 0], corner[2, 1] - corner[0, 1],
-                    part, mx - part * corner[0, 0], my - part * corner[0, 1],
-                    first[i], size, slot, vertex, share,
+                    mx - part * corner[0, 0], my - part * corner[0, 1],
                 )  # fmt: skip
+                share[slot[triangles[t, 0]]] += part - at_a - at_b
+                share[slot[triangles[t, 1]]] += at_a
+                share[slot[triangles[t, 2]]] += at_b
             edges = 0  # of T that the cell crosses, as bits
             for k in range(corners):
                 if p[k, 3] >= 0.0:
@@ -509,7 +544,7 @@ def _shares(  # type: ignore[no-untyped-def]
                     t, sx, sy, 7, i, triangles, neighbours, shifts, seen, todo, count
                 )
                 widened += 1
-            if count > len(spoke) + 64 + 9 * len(triangles):
+            if count > most + 64 + 9 * len(triangles):
                 break
         if covered < (1.0 - MISSED) * area[i]:
             missed = i
@@ -519,29 +554,17 @@ def _shares(  # type: ignore[no-untyped-def]
     return missed, area, first, vertex[:size].copy(), share[:size].copy()
 
 
+@njit(cache=True, forceinline=True)
+def _hats_at(ax, ay, bx, by, mx, my):  # type: ignore[no-untyped-def]
+    """Eq. (3) for the corners a and b of a triangle with the third at 0, from moments there."""
+    twice = ax * by - ay * bx
+    return (mx * by - my * bx) / twice, (ax * my - ay * mx) / twice
+
+
 @njit(cache=True)
 def _grown(vertex, share):  # type: ignore[no-untyped-def]
     """Entries with room for more."""
     return np.concatenate((vertex, vertex)), np.concatenate((share, share))
-
-
-@njit(cache=True)
-def _hold(  # type: ignore[no-untyped-def]
-    triangles, t, k, ax, ay, bx, by, part, mx, my, first, size, slot, vertex, share
-):
-    """Add Eq. (3) to the row from `first` on, which grows; its end.
-
-    Of a part of triangle t, area and moments seen from corner k; the next corners are a and b.
-    """
-    twice = ax * by - ay * bx
-    at_a, at_b = (mx * by - my * bx) / twice, (ax * my - ay * mx) / twice
-    for c in range(3):
-        v = triangles[t, (k + c) % 3]
-        if slot[v] < first:
-            slot[v], vertex[size], share[size] = size, v, 0.0
-            size += 1
-        share[slot[v]] += part - at_a - at_b if c == 0 else (at_a if c == 1 else at_b)
-    return size
 
 
 @njit(cache=True)
