@@ -221,7 +221,7 @@ def _incident(triangles, m):  # type: ignore[no-untyped-def]
     return first, entry
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def _ring(points, triangles, shifts, period, i, first, entry, ring, place):  # type: ignore[no-untyped-def]
     """Triangles around vertex i, counter-clockwise; their number, 0 if they do not close.
 
@@ -276,52 +276,54 @@ def _image(shifts, ring, d, after):  # type: ignore[no-untyped-def]
     return shifts[t, j, 0] - shifts[t, k, 0], shifts[t, j, 1] - shifts[t, k, 1]
 
 
-@njit(cache=True)
-def _moments(p, m):  # type: ignore[no-untyped-def]
-    """Area and its first moments of a polygon of m vertices."""
+@njit(cache=True, forceinline=True)
+def _moments(poly, p, m):  # type: ignore[no-untyped-def]
+    """Area and its first moments of polygon p, of m vertices."""
     area = mx = my = 0.0
+    ox, oy = poly[p, 0, 0], poly[p, 0, 1]
     for k in range(2, m):  # in triangles from vertex 0, so that no digits are lost
-        ax, ay = p[k - 1, 0] - p[0, 0], p[k - 1, 1] - p[0, 1]
-        bx, by = p[k, 0] - p[0, 0], p[k, 1] - p[0, 1]
+        ax, ay = poly[p, k - 1, 0] - ox, poly[p, k - 1, 1] - oy
+        bx, by = poly[p, k, 0] - ox, poly[p, k, 1] - oy
         part = 0.5 * (ax * by - ay * bx)
         area += part
         mx += part * (ax + bx) / 3.0
         my += part * (ay + by) / 3.0
-    return area, mx + area * p[0, 0], my + area * p[0, 1]
+    return area, mx + area * ox, my + area * oy
 
 
 @njit(cache=True)
-def _clip(p, m, q, du, dv, c, edge):  # type: ignore[no-untyped-def]
-    """Keep the part u du + v dv <= c of polygon `p`, written to `q`; its vertex count, -1 if whole.
+def _clip(poly, p, q, m, du, dv, c, edge):  # type: ignore[no-untyped-def]
+    """Keep the part u du + v dv <= c of polygon p, written to q; its vertex count, -1 if whole.
 
     Rows are u, v, room for a number, and the name of the side to the next vertex; the new one is
     named `edge`.
     """
     outside = 0
     for k in range(m):
-        p[k, 2] = p[k, 0] * du + p[k, 1] * dv - c
-        outside += p[k, 2] > 0.0
+        poly[p, k, 2] = poly[p, k, 0] * du + poly[p, k, 1] * dv - c
+        outside += poly[p, k, 2] > 0.0
     if outside == 0:
         return -1
     size, b = 0, m - 1
     for k in range(m):
         a, b = b, k  # the side from a to b
-        s, t = p[a, 2], p[b, 2]
+        s, t = poly[p, a, 2], poly[p, b, 2]
         if (s <= 0.0) != (t <= 0.0):
             f = s / (s - t)
-            q[size, 0] = p[a, 0] + f * (p[b, 0] - p[a, 0])
-            q[size, 1] = p[a, 1] + f * (p[b, 1] - p[a, 1])
-            q[size, 3] = edge if s <= 0.0 else p[a, 3]
+            poly[q, size, 0] = poly[p, a, 0] + f * (poly[p, b, 0] - poly[p, a, 0])
+            poly[q, size, 1] = poly[p, a, 1] + f * (poly[p, b, 1] - poly[p, a, 1])
+            poly[q, size, 3] = edge if s <= 0.0 else poly[p, a, 3]
             size += 1
         if t <= 0.0:
-            q[size, 0], q[size, 1], q[size, 3] = p[b, 0], p[b, 1], p[b, 3]
+            poly[q, size, 0], poly[q, size, 1] = poly[p, b, 0], poly[p, b, 1]
+            poly[q, size, 3] = poly[p, b, 3]
             size += 1
     return size
 
 
-@njit(cache=True)
-def _cell(points, weight, i, ring, place, degree, walls, size, circle, inner, p, q):  # type: ignore[no-untyped-def]
-    """C_i seen from x_i: whether that is inside, number of vertices, polygon, and what is spare."""
+@njit(cache=True, forceinline=True)
+def _cell(points, weight, i, ring, place, degree, walls, size, circle, inner, poly):  # type: ignore[no-untyped-def]
+    """C_i seen from x_i: whether that is inside, number of vertices, polygon 0 or 1."""
     inside, farthest = True, 0.0
     for d in range(degree + 1):
         x, y, j = place[d, 0], place[d, 1], ring[d, 2] if d < degree else ring[0, 2]
@@ -333,84 +335,89 @@ def _cell(points, weight, i, ring, place, degree, walls, size, circle, inner, p,
             cross = ax * y - ay * x
             over = 1.0 / cross if cross > 0.0 else np.inf  # by round-off
             u, v = (a * y - c * ay) * over, (c * ax - a * x) * over  # Eq. (4)
-            p[d - 1, 0], p[d - 1, 1] = u, v
+            poly[0, d - 1, 0], poly[0, d - 1, 1] = u, v
             away = u * u + v * v
             farthest = max(farthest, away if away < np.inf else np.inf)
-    m = degree
+    m, p = degree, 0
     if farthest > inner:  # cut out of the circle, so that no digits are lost
         m = len(circle)
         for k in range(m):
-            p[k, 0], p[k, 1] = circle[k, 0], circle[k, 1]
+            poly[0, k, 0], poly[0, k, 1] = circle[k, 0], circle[k, 1]
         for d in range(degree):
-            left = _clip(p, m, q, place[d, 0], place[d, 1], place[d, 2], -1)
+            left = _clip(poly, p, 1 - p, m, place[d, 0], place[d, 1], place[d, 2], -1)
             if left >= 0:
-                m, p, q = left, q, p
+                m, p = left, 1 - p
     for side in range(4 * walls):
         axis, out = side // 2, 2.0 * (side % 2) - 1.0
         c = out * ((side % 2) * size[axis] - points[i, axis])
         inside &= c > 0.0
         if c <= 0.0 or c * c < farthest:
-            left = _clip(p, m, q, out * (1 - axis), out * axis, c, -1)
+            left = _clip(poly, p, 1 - p, m, out * (1 - axis), out * axis, c, -1)
             if left >= 0:
-                m, p, q = left, q, p
-    return inside, m, p, q
+                m, p = left, 1 - p
+    return inside, m, p
 
 
 @njit(cache=True)
-def _overlap(cell, m, corner, p, q):  # type: ignore[no-untyped-def]
-    """C_i ∩ T: number of vertices, the polygon, and what is spare.
+def _overlap(poly, cell, m, corner):  # type: ignore[no-untyped-def]
+    """C_i ∩ T: number of vertices, and polygon 2 or 3.
 
     A side on an edge of T has the name of the corner opposite, other sides -1.
     """
+    p = 2
     for k in range(m):
-        p[k, 0], p[k, 1], p[k, 3] = cell[k, 0], cell[k, 1], -1.0
+        poly[p, k, 0], poly[p, k, 1], poly[p, k, 3] = poly[cell, k, 0], poly[cell, k, 1], -1.0
     for k in range(3):
         a, b = (k + 1) % 3, (k + 2) % 3
         du, dv = corner[b, 1] - corner[a, 1], corner[a, 0] - corner[b, 0]
-        size = _clip(p, m, q, du, dv, du * corner[a, 0] + dv * corner[a, 1], k)
+        size = _clip(poly, p, 5 - p, m, du, dv, du * corner[a, 0] + dv * corner[a, 1], k)
         if size >= 0:
-            m, p, q = size, q, p
-    return m, p, q
+            m, p = size, 5 - p
+    return m, p
 
 
-@njit(cache=True)
-def _crossed(cell, m, ux, uy):  # type: ignore[no-untyped-def]
+@njit(cache=True, forceinline=True)
+def _crossed(poly, cell, m, ux, uy):  # type: ignore[no-untyped-def]
     """The side of a polygon about 0 that the ray along u crosses, -1 for none by round-off."""
     for s in range(m):
         o = s + 1 if s + 1 < m else 0
-        if cell[s, 0] * uy >= cell[s, 1] * ux and cell[o, 0] * uy < cell[o, 1] * ux:
+        if (
+            poly[cell, s, 0] * uy >= poly[cell, s, 1] * ux
+            and poly[cell, o, 0] * uy < poly[cell, o, 1] * ux
+        ):
             return s
     return -1
 
 
-@njit(cache=True)
-def _sector(cell, m, s, ax, ay, bx, by, p):  # type: ignore[no-untyped-def]
+@njit(cache=True, forceinline=True)
+def _sector(poly, cell, m, s, ax, ay, bx, by):  # type: ignore[no-untyped-def]
     """The part of a polygon about 0 between the rays along a, which crosses side s, and b.
 
-    Returns its vertices, the side that b crosses, whether all lies before ab, area and moments.
+    Its vertices, as polygon 2, the side that b crosses, whether all lies before ab, area, moments.
     """
     twice, ex, ey = ax * by - ay * bx, bx - ax, by - ay
-    p[0, 0] = p[0, 1] = 0.0
+    px = py = poly[2, 0, 0] = poly[2, 0, 1] = 0.0
     size, within = 1, True
     area = mx = my = 0.0
     for k in range(m + 2):
         o = s + 1 if s + 1 < m else 0
-        last = cell[o, 0] * by < cell[o, 1] * bx
+        last = poly[cell, o, 0] * by < poly[cell, o, 1] * bx
         if k > 0 and not last:
             s = o
-            x, y = cell[s, 0], cell[s, 1]
+            x, y = poly[cell, s, 0], poly[cell, s, 1]
         else:
             ux, uy = (bx, by) if k > 0 else (ax, ay)
-            sx, sy = cell[o, 0] - cell[s, 0], cell[o, 1] - cell[s, 1]
-            f = (cell[s, 0] * sy - cell[s, 1] * sx) / (ux * sy - uy * sx)
+            ox, oy = poly[cell, s, 0], poly[cell, s, 1]
+            sx, sy = poly[cell, o, 0] - ox, poly[cell, o, 1] - oy
+            f = (ox * sy - oy * sx) / (ux * sy - uy * sx)
             x, y = f * ux, f * uy
-        if k > 0:
-            part = 0.5 * (p[size - 1, 0] * y - p[size - 1, 1] * x)
-            area += part
-            mx += part * (p[size - 1, 0] + x)
-            my += part * (p[size - 1, 1] + y)
+        part = 0.5 * (px * y - py * x)
+        area += part
+        mx += part * (px + x)
+        my += part * (py + y)
         within &= ex * y - ey * x + twice >= 0.0
-        p[size, 0], p[size, 1] = x, y
+        px = poly[2, size, 0] = x
+        py = poly[2, size, 1] = y
         size += 1
         if k > 0 and last:
             break
@@ -433,9 +440,7 @@ def _shares(  # type: ignore[no-untyped-def]
         most = max(most, at_centre[i + 1] - at_centre[i], at_point[i + 1] - at_point[i])
     ring, place = np.empty((most, 4), np.int32), np.empty((most + 1, 3))
     room = len(circle) + most + 8  # a cut adds one vertex at most
-    cell, spare = np.empty((room, 4)), np.empty((room, 4))
-    p, q = np.empty((room, 4)), np.empty((room, 4))
-    corner = np.empty((3, 2))
+    poly, corner = np.empty((4, room, 4)), np.empty((3, 2))
     inner = 0.25 * ((circle[0] + circle[-1]) ** 2).sum()  # of the circle inscribed, squared
     area, first = np.zeros(n), np.zeros(n + 1, np.int32)
     vertex, share = np.empty(10 * n + most + 64, np.int32), np.empty(10 * n + most + 64)
@@ -460,30 +465,29 @@ def _shares(  # type: ignore[no-untyped-def]
         if count == 0:
             missed = i
             break
-        inside, m, cell, spare = _cell(
-            centres, weight, i, ring, place, count, period[0] == 0.0, extent, circle, inner,
-            cell, spare,
-        )  # fmt: skip
-        area[i] = _moments(cell, m)[0]
+        inside, m, cell = _cell(
+            centres, weight, i, ring, place, count, period[0] == 0.0, extent, circle, inner, poly
+        )
+        area[i] = _moments(poly, cell, m)[0]
         count = _ring(points, triangles, shifts, period, i, at_point, by_point, ring, place)
         if area[i] <= 0.0 or count == 0:
             missed = i
             break
         # The walk begins with the triangles around x_i.
         done, widened, covered, within = 0, 0, 0.0, True
-        s = _crossed(cell, m, place[0, 0], place[0, 1]) if inside else -1
+        s = _crossed(poly, cell, m, place[0, 0], place[0, 1]) if inside else -1
         if s >= 0:
             done, vertex[size], share[size] = count, i, 0.0
             for d in range(count):
                 vertex[size + 1 + d], share[size + 1 + d] = ring[d, 2], 0.0
             for d in range(count):
                 ax, ay, bx, by = place[d, 0], place[d, 1], place[d + 1, 0], place[d + 1, 1]
-                corners, s, place[d, 2], part, mx, my = _sector(cell, m, s, ax, ay, bx, by, p)
+                corners, s, place[d, 2], part, mx, my = _sector(poly, cell, m, s, ax, ay, bx, by)
                 if place[d, 2] == 0.0:
                     within = False
-                    left = _clip(p, corners, q, by - ay, ax - bx, ax * by - ay * bx, -1)
+                    left = _clip(poly, 2, 3, corners, by - ay, ax - bx, ax * by - ay * bx, -1)
                     if left >= 0:
-                        part, mx, my = _moments(q, left)
+                        part, mx, my = _moments(poly, 3, left)
                 covered += part
                 at_a, at_b = _hats_at(ax, ay, bx, by, mx, my)
                 share[size] += part - at_a - at_b
@@ -510,8 +514,8 @@ def _shares(  # type: ignore[no-untyped-def]
                 v = triangles[t, k]
                 corner[k, 0] = points[v, 0] - points[i, 0] + (shifts[t, k, 0] + sx) * period[0]
                 corner[k, 1] = points[v, 1] - points[i, 1] + (shifts[t, k, 1] + sy) * period[1]
-            corners, p, q = _overlap(cell, m, corner, p, q)
-            part, mx, my = _moments(p, corners)
+            corners, p = _overlap(poly, cell, m, corner)
+            part, mx, my = _moments(poly, p, corners)
             if part > 0.0:  # Eq. (3)
                 covered += part
                 if size + 3 > len(vertex):
@@ -531,8 +535,8 @@ def _shares(  # type: ignore[no-untyped-def]
                 share[slot[triangles[t, 2]]] += at_b
             edges = 0  # of T that the cell crosses, as bits
             for k in range(corners):
-                if p[k, 3] >= 0.0:
-                    edges |= 1 << int(p[k, 3])
+                if poly[p, k, 3] >= 0.0:
+                    edges |= 1 << int(poly[p, k, 3])
             todo, count = _beyond(
                 t, sx, sy, edges, i, triangles, neighbours, shifts, seen, todo, count
             )
