@@ -164,20 +164,24 @@ def _circle(radius: float) -> Float:
 @njit(cache=True)
 def _sums(start, vertex, value, columns, m):  # type: ignore[no-untyped-def]
     found = np.zeros((m, columns.shape[1]))
-    for i in range(len(start) - 1):
-        for e in range(start[i], start[i + 1]):
-            for k in range(columns.shape[1]):
-                found[vertex[e], k] += value[e] * columns[i, k]
+    for k in range(columns.shape[1]):
+        for i in range(len(columns)):
+            here = columns[i, k]
+            for e in range(np.uint64(start[i]), np.uint64(start[i + 1])):  # see `_means`
+                found[np.uint64(vertex[e]), k] += value[e] * here
     return found
 
 
 @njit(cache=True)
 def _means(start, vertex, value, columns):  # type: ignore[no-untyped-def]
-    found = np.zeros((len(start) - 1, columns.shape[1]))
-    for i in range(len(start) - 1):
-        for e in range(start[i], start[i + 1]):
-            for k in range(columns.shape[1]):
-                found[i, k] += value[e] * columns[vertex[e], k]
+    found = np.empty((len(start) - 1, columns.shape[1]))
+    for k in range(columns.shape[1]):
+        for i in range(len(found)):
+            here = 0.0
+            # Without a sign, Numba does not ask whether to count from the end: twice as fast.
+            for e in range(np.uint64(start[i]), np.uint64(start[i + 1])):
+                here += value[e] * columns[np.uint64(vertex[e]), k]
+            found[i, k] = here
     return found
 
 
