@@ -17,8 +17,8 @@ All vertices in use make one power triangulation, of weights r² for particles a
   that has all points on one side are hidden by none of them.
 
 It is made from the two triangles of the corners, or from the lattice of images of one particle, by
-putting in all other vertices (`grainmesh.flips`), and from then on kept by flips. `alone` makes that
-of the particles without such nodes, whose neighbours bound their power cells.
+putting in all other vertices (`grainmesh.flips`), and from then on kept by flips. `alone` makes
+that of the particles without such nodes, where neighbours are those of the power cells.
 """
 
 from __future__ import annotations
