@@ -170,7 +170,7 @@ def test_another_format_is_refused_even_beside_an_older_file(folder, tmp_path):
     (tmp_path / checkpoint.NAME).write_bytes(
         checkpoint._head(data, "grainmesh checkpoint 9") + data
     )
-    assert "is a grainmesh checkpoint 9, and this version of grainmesh reads 2" in refusal(tmp_path)
+    assert "is a grainmesh checkpoint 9, and this version of grainmesh reads 3" in refusal(tmp_path)
 
 
 # Damage ------------------------------------------------------------------------------------------

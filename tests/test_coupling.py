@@ -107,7 +107,7 @@ def test_solid_volume_is_that_of_the_discs():
             step(run)
             k, V = run.flow.kernel, run.flow.discs.volume
             assert (1.0 - k.porosity) @ k.hats == pytest.approx(V.sum(), rel=1e-12)
-            assert k.share.sum(axis=1) == pytest.approx(1.0, rel=1e-12)
+            assert k.spread.share.sum(axis=1) == pytest.approx(1.0, rel=1e-12)
             used = run.flow.mesh.in_use
             assert k.hats[used].sum() == pytest.approx(run.model.box.area, rel=1e-12)
 

@@ -1,7 +1,6 @@
 """Particles spread over vertices: what is conserved, what is exact, what does not matter."""
 
 from functools import partial
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,10 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from grainmesh import arrange
+from grainmesh.cells import cells
 from grainmesh.domain import Box
 from grainmesh.errors import InputError
-from grainmesh.living import living
-from grainmesh.nodes import bounded
+from grainmesh.living import Living, living
+from grainmesh.nodes import alone, bounded
 from grainmesh.particles import Particles
 from grainmesh.spread import spread
 from grainmesh.triangulation import triangulate
@@ -34,12 +34,17 @@ def delaunay(box, points):
     if box.periodic:
         return living(box, points, tiny)
     mesh = triangulate(box, Particles(points, tiny))
-    names = ("points", "triangles", "neighbours", "shifts")
-    return SimpleNamespace(period=np.zeros(2), **{name: getattr(mesh, name) for name in names})
+    return of(box, mesh.points, mesh.triangles, mesh.neighbours, mesh.shifts)
+
+
+def of(box, points, *arrays):
+    """A mesh of these arrays, that may be written to as those of all that live."""
+    points, triangles, neighbours, shifts = map(np.array, (points, *arrays))
+    return Living(box, points, np.zeros(len(points)), triangles, neighbours, shifts)
 
 
 def spread_on(mesh, box, x, radius, reach=np.inf):
-    return spread(box, x, radius, reach, mesh.points, mesh.triangles, mesh.neighbours, mesh.shifts)
+    return spread(alone(box, x, radius, reach), reach, mesh)
 
 
 def corners(mesh):
@@ -156,27 +161,24 @@ def test_place_order_and_handedness_do_not_matter(seed, reach):
     share = found.share.toarray()
 
     moved = points + rng.uniform(-2.0, 2.0, 2)
-    away = spread(
-        box, moved[:n], radius, reach, moved, mesh.triangles, mesh.neighbours, mesh.shifts
-    )
+    away = of(box, moved, mesh.triangles, mesh.neighbours, mesh.shifts)
+    away = spread_on(away, box, moved[:n], radius, reach)
     assert away.area == close(found.area, rel=1e-11)
     assert away.share.toarray() == pytest.approx(share, abs=1e-11)
 
     flip, turn = np.array([-1, 1]), [0, 2, 1]
-    mirror = spread(
-        box, points[:n] * flip, radius, reach, points * flip,
-        mesh.triangles[:, turn].copy(), mesh.neighbours[:, turn].copy(),
+    mirror = of(
+        box, points * flip, mesh.triangles[:, turn], mesh.neighbours[:, turn],
         (mesh.shifts * flip)[:, turn].astype(np.int32),
     )  # fmt: skip
+    mirror = spread_on(mirror, box, points[:n] * flip, radius, reach)
     assert mirror.area == close(found.area, rel=1e-11)
     assert mirror.share.toarray() == pytest.approx(share, abs=1e-11)
 
     order = np.concatenate([rng.permutation(n), n + rng.permutation(len(points) - n)])
     number = np.argsort(order).astype(np.int32)
-    mixed = spread(
-        box, points[order[:n]], radius[order[:n]], reach, points[order],
-        number[mesh.triangles], mesh.neighbours, mesh.shifts,
-    )  # fmt: skip
+    mixed = of(box, points[order], number[mesh.triangles], mesh.neighbours, mesh.shifts)
+    mixed = spread_on(mixed, box, points[order[:n]], radius[order[:n]], reach)
     assert mixed.area == close(found.area[order[:n]], rel=1e-12)
     assert mixed.share.toarray() == pytest.approx(share[np.ix_(order[:n], order)], abs=1e-12)
 
@@ -212,10 +214,8 @@ def test_a_lonely_particle_is_spread_over_its_reach():
     unused = np.vstack([points, rng.uniform(0.0, 1.0, (7, 2))])
     mesh = delaunay(box, points)
     for reach in (0.01, 0.1, 0.3):
-        found = spread(
-            box, points[:1], np.array([0.005]), reach, unused,
-            mesh.triangles, mesh.neighbours, mesh.shifts,
-        )  # fmt: skip
+        more = of(box, unused, mesh.triangles, mesh.neighbours, mesh.shifts)
+        found = spread_on(more, box, points[:1], np.array([0.005]), reach)
         assert found.area == close(np.pi * reach**2, rel=1e-12)
         row = found.share.toarray()[0]
         assert (row[len(points) :] == 0.0).all()
@@ -240,10 +240,7 @@ def test_refusals():
     with pytest.raises(InputError, match="cell of particle 1 is empty"):  # it begins at a distance
         spread_on(mesh, box, points, np.array([0.51, 0.1, 0.1]), 0.05)
     with pytest.raises(InputError, match="does not cover the cell of particle"):
-        spread(
-            Box(2.0, 1.0), points, radius, np.inf, mesh.points,
-            mesh.triangles, mesh.neighbours, mesh.shifts,
-        )  # fmt: skip
+        spread_on(mesh, Box(2.0, 1.0), points, radius)
 
 
 def test_what_has_not_changed_need_not_be_found_again():
@@ -252,8 +249,7 @@ def test_what_has_not_changed_need_not_be_found_again():
     mesh = bounded(box, rng.uniform(0.02, 0.98, (300, 2)), r)
 
     def found(*more):
-        arrays = mesh.points, mesh.triangles, mesh.neighbours, mesh.shifts
-        return spread(box, mesh.points[:300], r, 0.1, *arrays, *more)
+        return spread(alone(box, mesh.points[:300], r, 0.1), 0.1, mesh, *more)
 
     for _ in range(5):
         while not mesh.move(mesh.points[:300] + rng.uniform(-5e-4, 5e-4, (300, 2))):
@@ -267,3 +263,32 @@ def test_what_has_not_changed_need_not_be_found_again():
         assert 0 < changed.sum() < 250
         assert (part.area == whole.area).all()
         assert (part.share != whole.share).nnz == 0
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    n=st.sampled_from([1, 2, 5, 40, 150]),
+    seed=st.integers(0, 10**6),
+    reach=st.sampled_from([0.07, 0.2, np.inf]),
+    way=st.sampled_from([0.02, 0.5, 1.0]),
+    periodic=st.booleans(),
+)
+def test_carried_on_or_made_anew_to_the_bit(n, seed, reach, way, periodic):
+    """Unequal discs that go by little or by much, and nodes that come and go."""
+    box, rng = Box(1.3, 1.0, periodic), np.random.default_rng(seed)
+    side = int(np.ceil(np.sqrt(n)))
+    pitch = box.size / side
+    home = np.stack(np.meshgrid(*2 * [np.arange(side) + 0.5]), axis=-1).reshape(-1, 2)[:n]
+    away, radius = np.zeros((n, 2)), rng.uniform(0.05, 0.25, n) * pitch.min()
+    carried = alone(box, home * pitch, radius, reach)
+    for _ in range(4):
+        away += way * (rng.uniform(-0.4, 0.4, (n, 2)) - away)
+        x = (home + away) * pitch
+        carried.follow(x)
+        mesh = delaunay(box, np.vstack([x, rng.uniform(0.01, 0.99, (60, 2)) * box.size]))
+        old, new = spread(carried, reach, mesh), spread_on(mesh, box, x, radius, reach)
+        for name in vars(old):
+            assert (getattr(old, name) == getattr(new, name)).all()
+        if reach == np.inf:
+            assert old.area == close(cells(box, Particles(x, 2.0 * radius)).area, rel=1e-9)
+    assert carried.flips > 0 or n < 40 or way < 0.5

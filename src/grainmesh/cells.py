@@ -132,7 +132,6 @@ def diagram(
     radius: Float,
     window: Float,
     strain: tuple[float, float] = (0.0, 0.0),
-    far: float = np.inf,
 ) -> Diagram:
     """Power diagram of points `x` inside a window.
 
@@ -151,13 +150,9 @@ def diagram(
     strain : tuple of float
         (a, b) replaces every separation (dx, dy) by (dx + b dy, dy + a dy): a homogeneous strain,
         the same for all points and images, that leaves no four points on a common circle.
-    far : float
-        No cell reaches farther than this from its point, along either axis [m].
     """
     # A copy: a read-only array would be compiled for once more.
-    return Diagram(
-        *_diagram(x.copy(), weight, radius, box.size, box.periodic, window, *strain, far)
-    )
+    return Diagram(*_diagram(x.copy(), weight, radius, box.size, box.periodic, window, *strain))
 
 
 @njit(cache=True)
@@ -249,7 +244,7 @@ def _cut(p, tag, m, q, qtag, du, dv, c, j, sx, sy):  # type: ignore[no-untyped-d
 
 
 @njit(cache=True)
-def _diagram(x, weight, radius, period, periodic, window, a, b, far):  # type: ignore[no-untyped-def]
+def _diagram(x, weight, radius, period, periodic, window, a, b):  # type: ignore[no-untyped-def]
     n = len(x)
     low, extent = np.zeros(2), period.copy()
     if not periodic:
@@ -269,7 +264,6 @@ def _diagram(x, weight, radius, period, periodic, window, a, b, far):  # type: i
         # Twice the period: own images cut it down to the right size.
         x0, x1 = (-period[0], period[0]) if periodic else (window[0, 0] - xi, window[1, 0] - xi)
         y0, y1 = (-period[1], period[1]) if periodic else (window[0, 1] - yi, window[1, 1] - yi)
-        x0, x1, y0, y1 = max(x0, -far), min(x1, far), max(y0, -far), min(y1, far)
         p[0, 0], p[1, 0], p[2, 0], p[3, 0] = x0, x1, x1, x0
         p[0, 1], p[1, 1], p[2, 1], p[3, 1] = y0, y0, y1, y1
         tag[:4] = -1

@@ -34,7 +34,7 @@ from grainmesh.model import FUNCTION, Model
 from grainmesh.walls import Wall
 
 NAME, OLD = "checkpoint.h5", "checkpoint.old.h5"
-FORMAT, BLOCK = "grainmesh checkpoint 2", 512
+FORMAT, BLOCK = "grainmesh checkpoint 3", 512
 #: Packages whose versions are kept.
 PACKAGES = ("grainmesh", "numpy", "scipy", "numba", "ngsolve", "h5py")
 Arrays = dict[str, NDArray[Any]]

@@ -7,18 +7,16 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import csr_array
 
 from grainmesh import sides
 from grainmesh.carry import Finder, Keys, Topology, Transfer, regions
-from grainmesh.cells import Diagram
 from grainmesh.domain import SIDES, Box
 from grainmesh.element import element, lattice
 from grainmesh.errors import InputError, RunError
 from grainmesh.medium import Fluid, Inflow, Outlet
 from grainmesh.mesh import flow_mesh
 from grainmesh.navier import Operator
-from grainmesh.nodes import Bounded, bounded
+from grainmesh.nodes import Bounded, alone, bounded
 from grainmesh.solver import Solver
 from grainmesh.spread import Spread, spread
 
@@ -26,7 +24,7 @@ Float = NDArray[np.float64]
 Int = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Arrays = dict[str, NDArray[Any]]
-Kept = tuple[Bounded, Float, dict[str, Any]]
+Kept = tuple[Bounded, Bounded, Float, dict[str, Any]]
 
 #: Least porosity of a vertex.
 LEAST_POROSITY = 0.02
@@ -40,7 +38,8 @@ STATE = (
     "velocity", "last", "slid", "force", "around", "curl", "drag", "mobility",
     "extra", "D", "du", "Q",
 )  # fmt: skip
-SHARE = ("data", "indices", "indptr")
+#: Triangulations that are kept.
+MESHES = ("mesh", "bed")
 PARTS = ("mesh", "kernel", "matrix", "solve", "rest")
 
 
@@ -74,17 +73,12 @@ class Kernel:
     porosity : (m,)
         ε at the points, 1 for those that are no vertex.
     spread : Spread
-        The cells of the discs, and S.
+        Areas of the cells of the discs, and S.
     """
 
     hats: Float
     porosity: Float
     spread: Spread
-
-    @property
-    def share(self) -> csr_array:
-        """S_iv (n, m)."""
-        return self.spread.share
 
     @property
     def area(self) -> Float:
@@ -93,17 +87,13 @@ class Kernel:
 
     def field(self, values: Float) -> Float:
         """Values at the vertices of sum_i values_i ψ_i, (m,) or (m, 2)."""
-        found: Float = (self.share.T @ values) / (
-            self.hats if values.ndim == 1 else self.hats[:, None]
-        )
-        return found
+        hats = self.hats if values.ndim == 1 else self.hats[:, None]
+        return self.spread.sums(values) / hats
 
     def mean(self, moments: Float) -> Float:
         """<f>_i from ∫φ_v f, (m,) or (m, c)."""
-        found: Float = self.share @ (
-            moments / (self.hats if moments.ndim == 1 else self.hats[:, None])
-        )
-        return found
+        hats = self.hats if moments.ndim == 1 else self.hats[:, None]
+        return self.spread.means(moments / hats)
 
 
 class Sample(NamedTuple):
@@ -147,6 +137,8 @@ class Fields:
     ----------
     mesh : Bounded
         The triangulation.
+    bed : Bounded
+        That of the discs alone.
     operator : Operator
         Velocity and pressure on it.
     kernel : Kernel
@@ -164,6 +156,7 @@ class Fields:
     """
 
     mesh: Bounded
+    bed: Bounded
     operator: Operator
     kernel: Kernel
     time: float
@@ -190,6 +183,7 @@ class Fields:
                 "nodes in this box: check the unit, or take a larger one"
             )
         self.mesh = bounded(box, x, 0.5 * discs.diameter, fluid.spacing)
+        self.bed = alone(box, x, 0.5 * discs.diameter, self._reach)
         n = len(x)
         self.velocity, self.last = np.array(velocity), np.zeros((n, 2))
         self.force, self.around, self.curl = np.zeros((n, 2)), np.zeros((n, 2)), np.zeros(n)
@@ -229,19 +223,20 @@ class Fields:
 
     def numbers(self) -> dict[str, Any]:
         """What goes into a checkpoint beside `arrays`."""
-        mesh = {key: value for key, value in vars(self.mesh).items() if isinstance(value, int)}
-        found = {name: getattr(self, name) for name in NUMBERS}
-        return {"mesh": mesh, "solver": self.solver.numbers()} | found
+        found: dict[str, Any] = {name: getattr(self, name) for name in NUMBERS}
+        for name in MESHES:
+            parts = vars(getattr(self, name)).items()
+            found[name] = {key: value for key, value in parts if isinstance(value, int)}
+        return {"solver": self.solver.numbers()} | found
 
     def arrays(self) -> Arrays:
         """The state as arrays by name."""
         found = {name: getattr(self, name) for name in STATE} | {"x": self.operator.x}
-        for key, value in vars(self.mesh).items():
-            if isinstance(value, np.ndarray):
-                found[f"mesh/{key}"] = value
-        share, cells = self.kernel.share, vars(self.kernel.spread.cells)
-        found |= {"kernel/area": self.kernel.area} | {f"cells/{k}": v for k, v in cells.items()}
-        found |= {f"share/{key}": getattr(share, key) for key in SHARE}
+        for name in MESHES:
+            for key, value in vars(getattr(self, name)).items():
+                if isinstance(value, np.ndarray):
+                    found[f"{name}/{key}"] = value
+        found |= {f"kernel/{key}": value for key, value in vars(self.kernel.spread).items()}
         return found | {f"factor/{key}": value for key, value in self.solver.recipe.items()}
 
     @classmethod
@@ -257,23 +252,19 @@ class Fields:
         """The state that `numbers` and `arrays` were of."""
         self = cls.__new__(cls)
         self.box, self.fluid, self.discs, self.gravity = box, fluid, discs, np.array(gravity)
-        parts: dict[str, Any] = {k[5:]: v for k, v in arrays.items() if k.startswith("mesh/")}
-        self.mesh = Bounded(box=box, **parts, **numbers["mesh"])
+        for name in MESHES:
+            parts: dict[str, Any] = _under(name, arrays) | numbers[name]
+            setattr(self, name, Bounded(box=box, **parts))
         for name in NUMBERS:
             setattr(self, name, numbers[name])
         for name in STATE:
             setattr(self, name, arrays[name])
         self.seconds = dict.fromkeys(PARTS, 0.0)
         self._build()
-        share = csr_array(
-            tuple(arrays[f"share/{key}"] for key in SHARE),
-            shape=(len(discs.mass), len(self.mesh.points)),
-        )
-        cells = Diagram(**{k[6:]: v for k, v in arrays.items() if k.startswith("cells/")})
-        self.kernel = self._kernel_of(Spread(arrays["kernel/area"], share, cells))
+        self.kernel = self._kernel_of(Spread(**_under("kernel", arrays)))
         self._load_porosity()
         self.operator.x = arrays["x"]
-        recipe = {k[7:]: v for k, v in arrays.items() if k.startswith("factor/")}
+        recipe = _under("factor", arrays)
         self.solver = Solver.resumed(numbers["solver"], recipe, self.operator)
         return self
 
@@ -402,12 +393,12 @@ class Fields:
     def keep(self) -> Kept:
         """The state before a step, for `back`."""
         state = {name: getattr(self, name) for name in (*STATE, *NUMBERS, *REFERENCES)}
-        return _copied(self.mesh), self.operator.x, state
+        return _copied(self.mesh), _copied(self.bed), self.operator.x, state
 
     def back(self, kept: Kept) -> None:
         """Undo a step that failed, and whatever of it was done."""
-        mesh, x, state = kept
-        self.mesh = _copied(mesh)
+        mesh, bed, x, state = kept
+        self.mesh, self.bed = _copied(mesh), _copied(bed)
         for name, value in state.items():
             setattr(self, name, value)
         self._old = self.mesh.points.copy()
@@ -476,24 +467,21 @@ class Fields:
         self.D[at] += _made_up(region, weight, lost)
         self.Q = momentum + self.extra
 
+    @property
+    def _reach(self) -> float:
+        return self.fluid.reach * float(self.discs.diameter.max())
+
     def _kernel(self, changed: Mask | None = None) -> Kernel:
         """Eq. (2) for the present places; if given, only corners of triangles have `changed`."""
-        mesh, r = self.mesh, 0.5 * self.discs.diameter
-        n = len(r)
-        reach = self.fluid.reach * float(self.discs.diameter.max())
-        arrays = mesh.points, mesh.triangles, mesh.neighbours, mesh.shifts
-        before = None if changed is None else self.kernel.spread
-        found = spread(self.box, mesh.points[:n], r, reach, *arrays, before, changed)
-        return self._kernel_of(found)
+        if changed is None:
+            self.bed.follow(self.mesh.points[: len(self.discs.mass)])
+            return self._kernel_of(spread(self.bed, self._reach, self.mesh))
+        before = self.kernel.spread
+        return self._kernel_of(spread(self.bed, self._reach, self.mesh, before, changed))
 
     def _kernel_of(self, found: Spread) -> Kernel:
-        mesh, m = self.mesh, len(self.mesh.points)
-        place = self._corners()
-        a, b = place[:, 1] - place[:, 0], place[:, 2] - place[:, 0]
-        area = 0.5 * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
-        hats: Float = np.bincount(mesh.triangles.ravel(), np.repeat(area / 3.0, 3), m).astype(float)
-        hats[hats == 0.0] = 1.0
-        porosity = 1.0 - (found.share.T @ self.discs.volume) / hats
+        mesh, hats = self.mesh, np.where(found.hats == 0.0, 1.0, found.hats)
+        porosity = 1.0 - found.sums(self.discs.volume) / hats
         low = int(np.argmin(porosity))
         if porosity[low] < LEAST_POROSITY:
             at = mesh.points[low]
@@ -532,6 +520,11 @@ class Fields:
                     "and nothing the other way: give one side an Outlet(), or inflows that add up "
                     "to zero"
                 )
+
+
+def _under(name: str, arrays: Arrays) -> Arrays:
+    """Arrays whose names begin with ``name/``, without that."""
+    return {k[len(name) + 1 :]: v for k, v in arrays.items() if k.startswith(f"{name}/")}
 
 
 def _copied(mesh: Bounded) -> Bounded:

@@ -17,7 +17,8 @@ All vertices in use make one power triangulation, of weights r² for particles a
   that has all points on one side are hidden by none of them.
 
 It is made from the two triangles of the corners, or from the lattice of images of one particle, by
-putting in all other vertices (`grainmesh.flips`), and from then on kept by flips.
+putting in all other vertices (`grainmesh.flips`), and from then on kept by flips. `alone` makes
+that of the particles without such nodes, where neighbours are those of the power cells.
 """
 
 from __future__ import annotations
@@ -100,19 +101,19 @@ class Bounded(Living):
             If a particle has left the box, or the discs overlap so much that one is hidden.
         """
         before = self.flips
-        arrays = self.triangles, self.neighbours, self.shifts
-        if not (_positive(self.points, self.period, *arrays[::2]) or self._repair()):
-            self.renew(self.points[: self.n])
-            return True
         out, into = self._changes()
-        if not (self._take_out(out) and self._put_in(into) and self._repair()):
+        some, fits = len(out) > 0 or len(into) > 0, True
+        if some:
+            positive = _positive(self.points, self.period, self.triangles, self.shifts)
+            fits = (positive or self._repair()) and self._take_out(out) and self._put_in(into)
+        if not (fits and self._repair()):
             self.renew(self.points[: self.n])
             return True
-        return len(out) > 0 or len(into) > 0 or self.flips > before
+        return some or self.flips > before
 
     def follow(self, x: Float) -> None:
-        """`move` and `mend`."""
-        self.move(x)
+        """Move the particles to `x` (n, 2) [m], and `mend`."""
+        self.points[: len(x)] = x
         self.mend()
 
     def renew(self, x: Float) -> None:
@@ -263,6 +264,45 @@ def bounded(box: Box, x: Float, radius: Float, spacing: float | None = None) -> 
     return mesh
 
 
+def alone(box: Box, x: Float, radius: Float, reach: float) -> Bounded:
+    """The power triangulation of discs alone, for all places within `reach` of their centres.
+
+    Parameters
+    ----------
+    box, x, radius
+        As of `bounded`.
+    reach : float
+        With walls, nodes stand around the box, farther than this [m] from all that is inside.
+
+    Returns
+    -------
+    Bounded
+
+    Raises
+    ------
+    InputError
+        As `bounded`, or a reach that is not positive.
+    """
+    if not reach > 0.0:
+        raise InputError(f"the reach of the particles is {reach:g} m, it must be positive")
+    points = np.array(x)
+    if not box.periodic:
+        margin = min(1.1 * reach, 2.0 * float(np.hypot(*box.size)))
+        margin = max(margin, 0.02 * float(box.size.max()))  # else they were too many
+        around = _around(box.size + 2.0 * margin, margin)
+        points = np.vstack([x, around - margin])
+    weight = np.zeros(len(points))
+    weight[: len(x)] = radius**2
+    none, in_use = np.empty((0, 3), np.int32), np.ones(len(points), dtype=bool)
+    mesh = Bounded(
+        box, points, weight, none, none, np.empty((0, 3, 2), np.int32),
+        in_use=in_use, rows=0, columns=0,
+    )  # fmt: skip
+    mesh.renew(np.array(x))
+    mesh.flips = mesh.made = 0
+    return mesh
+
+
 def _on_walls(box: Box, radius: Float, spacing: float | None) -> Float:
     """Nodes on walls (k, 2) [m], the four corners first."""
     if box.periodic:
@@ -273,12 +313,17 @@ def _on_walls(box: Box, radius: Float, spacing: float | None) -> Float:
     )
     if spacing is not None:
         aim = min(aim, spacing)
-    width, height = box.size
+    return _around(box.size, aim)
+
+
+def _around(size: Float, pitch: float) -> Float:
+    """Points (k, 2) on the sides of a rectangle from the origin on, the four corners first."""
+    width, height = size
     nodes = [np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]])]
     for axis in (0, 1):
-        parts = max(3, round(box.size[axis] / aim))
-        along = np.linspace(0.0, box.size[axis], parts + 1)[1:-1]
-        for wall in (0.0, box.size[1 - axis]):
+        parts = max(3, round(size[axis] / pitch))
+        along = np.linspace(0.0, size[axis], parts + 1)[1:-1]
+        for wall in (0.0, size[1 - axis]):
             line = np.full((len(along), 2), wall)
             line[:, axis] = along
             nodes.append(line)
@@ -366,4 +411,4 @@ def _along_a_curve(points: Float, size: Float) -> NDArray[np.int64]:
     return key
 
 
-__all__ = ["Bounded", "bounded"]
+__all__ = ["Bounded", "alone", "bounded"]
