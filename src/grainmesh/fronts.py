@@ -28,8 +28,10 @@ ACM Trans. Math. Softw. 9 (1983) 302.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
-from threading import Thread
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -110,10 +112,15 @@ class Fronts:
             call(0, half, *one)
             call(half, whole, *other)
             return
-        second = Thread(target=call, args=(half, whole, *other))
-        second.start()
+        second = _second(os.getpid()).submit(call, half, whole, *other)
         call(0, half, *one)
-        second.join()
+        second.result()
+
+
+@lru_cache(1)
+def _second(_: int) -> ThreadPoolExecutor:
+    """A second thread of this process: a fork has none."""
+    return ThreadPoolExecutor(1)
 
 
 @njit(cache=True)
