@@ -174,7 +174,7 @@ def condensed(inner: Float, rows: Int, f: Float) -> Float:
     f = f.copy()
     more, n = inner.shape[1:]
     taken = np.empty(n)
-    for e in range(len(inner)):
+    for e in range(len(inner) if more else 0):
         taken[:] = 0.0
         for k in range(more - 1, -1, -1):
             at = n - more + k
@@ -191,7 +191,7 @@ def completed(inner: Float, rows: Int, f: Float, x: Float) -> None:
     """Put in the unknowns that `matrices` has taken out; f is of `condensed`."""
     more, n = inner.shape[1:]
     local = np.empty(n)
-    for e in range(len(inner)):
+    for e in range(len(inner) if more else 0):
         for i in range(n - more):
             local[i] = x[rows[e, i]]
         for k in range(more):
