@@ -324,7 +324,9 @@ def convected(
                     F[i, 0, b] += through * V[0, b]
                     F[i, 1, b] += through * V[1, b]
                     F[i, 2, b] += through
-        F[0] = -F[1] - F[2]  # λ_0 = 1 - λ_1 - λ_2
+        for c in range(3):  # λ_0 = 1 - λ_1 - λ_2
+            for b in range(BLOCK):
+                F[0, c, b] = -F[1, c, b] - F[2, c, b]
         _add(found, rows, first, area, F)
     return found
 
