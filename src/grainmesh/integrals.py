@@ -174,7 +174,7 @@ def condensed(inner: Float, rows: Int, f: Float) -> Float:
     f = f.copy()
     more, n = inner.shape[1:]
     taken = np.empty(n)
-    for e in range(len(inner)):
+    for e in range(len(inner) if more else 0):
         taken[:] = 0.0
         for k in range(more - 1, -1, -1):
             at = n - more + k
@@ -191,7 +191,7 @@ def completed(inner: Float, rows: Int, f: Float, x: Float) -> None:
     """Put in the unknowns that `matrices` has taken out; f is of `condensed`."""
     more, n = inner.shape[1:]
     local = np.empty(n)
-    for e in range(len(inner)):
+    for e in range(len(inner) if more else 0):
         for i in range(n - more):
             local[i] = x[rows[e, i]]
         for k in range(more):
@@ -294,7 +294,9 @@ def convected(
                     F[i, 0, b] += through * V[0, b]
                     F[i, 1, b] += through * V[1, b]
                     F[i, 2, b] += through
-        F[0] = -F[1] - F[2]  # λ_0 = 1 - λ_1 - λ_2
+        for c in range(3):  # λ_0 = 1 - λ_1 - λ_2
+            for b in range(BLOCK):
+                F[0, c, b] = -F[1, c, b] - F[2, c, b]
         _add(found, rows, first, area, F)
     return found
 
