@@ -18,8 +18,11 @@ from ngsolve import (
 )
 
 from flows import SIDES, Beside, Nothing, flow, some_flow
+from grainmesh.averaged import Averaged
+from grainmesh.carry import Keys
 from grainmesh.coupling import Coupling, Discs
 from grainmesh.domain import Box
+from grainmesh.element import element
 from grainmesh.medium import Fluid, Inflow, NoSlip, Outlet, Slip
 
 
@@ -110,10 +113,9 @@ def test_loads_are_those_of_ngsolve(order, periodic):
     assert close(op.momentum(), it.load("u", LinearForm(eps * u * v * much)))
     mass = it.load("u", LinearForm(eps * v[0] * much))
     assert close(op.mass(), mass[:, 0])
-    f, g = it.f + it.dE * grad(it.p), it.g - it.dE * u + it.dS * grad(it.p)
     F, G = op.source()[: op.split].reshape(-1, 2), op.source()[op.split :]
-    assert close(F, it.load("u", LinearForm(f * v * much)))
-    assert close(G, it.load("p", LinearForm(-g * grad(q) * much)))
+    assert close(F, it.load("u", LinearForm(it.f * v * much)))
+    assert close(G, it.load("p", LinearForm(-it.g * grad(q) * much)))
     for mean, field in zip(op.means(), (u, grad(it.p), Grad(u)[1, 0] - Grad(u)[0, 1]), strict=True):
         parts = [field[k] for k in range(field.dim)] if field.dim > 1 else [field]
         exact = np.column_stack([it.load("h", LinearForm(part * h * much)) for part in parts])
@@ -198,6 +200,35 @@ def test_matrix_is_that_of_ngsolve_whole_or_condensed(order, periodic):
     assert np.abs(left[sought]).max() < 1e-9 * np.abs(f).max()
     op.completed(op.condensed(f), x)
     assert np.abs(x - exact).max() < 1e-9 * np.abs(exact).max()
+
+
+@EACH
+def test_averages_are_in_the_matrix_condensed_with_it(order, periodic):
+    """Eq. (1) of averaged, from integrals of NGSolve, beside the matrices of the triangles."""
+    found, rng = some_flow(order, periodic)
+    op, k, n = found.operator, found.kernel, len(found.velocity)
+    condensed, op.outer = op.outer, op.rows.shape[1]
+    op.assemble()
+    K = np.array([op.apply(row) for row in np.eye(len(op.free))])
+    E, S, it = rng.uniform(0.5, 1.0, n), rng.uniform(0.5, 1.0, n), Beside(found)
+    v, q, much = it.V.TestFunction(), it.Q.TestFunction(), dx(bonus_intorder=3 * max(order, 3))
+    for one, disc in enumerate(np.eye(n)):
+        psi = Keys(op.topology, element(1)).field(it.grid, k.field(disc))
+        for axis in range(2):
+            u = np.append(it.load("u", LinearForm(psi * v[axis] * much)).ravel(), 0.0 * op.p)
+            slope = np.append(0.0 * op.u, it.load("p", LinearForm(psi * grad(q)[axis] * much)))
+            K += E[one] * (np.outer(u, slope) + np.outer(slope, u))
+            K -= S[one] * np.outer(slope, slope)
+    op.averaged = Averaged(k.psi, E, S)
+    assert close(np.array([op.apply(row) for row in np.eye(len(K))]), K)
+    op.outer = condensed
+    op.assemble()
+    x, rest = rng.normal(size=len(K)), ~op.within
+    f = K @ x
+    y = np.where(op.within, np.nan, x)
+    assert close(op.apply(y)[rest], op.condensed(f)[rest])
+    op.completed(op.condensed(f), y)
+    assert close(y, x)
 
 
 @EACH

@@ -27,7 +27,7 @@ Float = NDArray[np.float64]
 Int = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Arrays = dict[str, NDArray[Any]]
-Kept = tuple[Bounded, Float, dict[str, Any]]
+Kept = tuple[Bounded, Float, int, dict[str, Any]]
 
 #: Least porosity of a vertex.
 LEAST_POROSITY = 0.02
@@ -91,6 +91,12 @@ class Kernel:
     def area(self) -> Float:
         """A_i [m2], (n,)."""
         return self.spread.area
+
+    @property
+    def psi(self) -> csr_array:
+        """Values of ψ_i at the vertices (n, m) [1/m2]."""
+        S = self.share
+        return csr_array((S.data / self.hats[S.indices], S.indices, S.indptr), shape=S.shape)
 
     def field(self, values: Float) -> Float:
         """Values at the vertices of sum_i values_i ψ_i, (m,) or (m, 2)."""
@@ -403,11 +409,11 @@ class Fields:
     def keep(self) -> Kept:
         """The state before a step, for `back`."""
         state = {name: getattr(self, name) for name in (*STATE, *NUMBERS, *REFERENCES)}
-        return _copied(self.mesh), self.operator.x, state
+        return _copied(self.mesh), self.operator.x, self.solver.iterations, state
 
     def back(self, kept: Kept) -> None:
         """Undo a step that failed, and whatever of it was done."""
-        mesh, x, state = kept
+        mesh, x, self.solver.iterations, state = kept
         self.mesh = _copied(mesh)
         for name, value in state.items():
             setattr(self, name, value)

@@ -142,21 +142,6 @@ def completed(K: Float, rows: Int, f: Float, x: Float, outer: int) -> None:
 
 
 @njit(cache=True)
-def product(K: Float, rows: Int, x: Float, outer: int) -> Float:
-    """K x of the first `outer` unknowns of each triangle."""
-    y, local = np.zeros_like(x), np.empty(outer)
-    for e in range(len(K)):
-        for i in range(outer):
-            local[i] = x[rows[e, i]]
-        for i in range(outer):
-            value = 0.0
-            for j in range(outer):
-                value += K[e, i, j] * local[j]
-            y[rows[e, i]] += value
-    return y
-
-
-@njit(cache=True)
 def entries(K: Float, rows: Int, number: Int, count: int) -> tuple[Any, Any, Float, Float]:
     """Entries i >= j of the sum of matrices (t, n, n), some more than once, and its diagonal.
 
@@ -230,46 +215,6 @@ def convected(
                 C[row, 1] += crossing * y
                 drained[row] += crossing
     return C, drained
-
-
-@njit(cache=True)
-def sources(
-    corner: Int, rows: Int, rows_p: Int, gradient: Float, area: Float,
-    u: Float, p: Float, f: Float, g: Float, dE: Float, dS: Float,
-    hat: Float, shape: Float, slope_p: Float, weight: Float,
-) -> tuple[Float, Float]:  # fmt: skip
-    """∫(f + dE ∇p)·v (size, 2) and -∫(g - dE u + dS ∇p)·∇q (size_p,), navier Eqs. (1), (2), (5)."""
-    F, G = np.zeros_like(u), np.zeros_like(p)
-    count, lp = shape.shape[1], slope_p.shape[1]
-    for e in range(len(corner)):
-        v0, v1, v2 = corner[e]
-        ax, ay, bx, by = gradient[e, 0, 0], gradient[e, 0, 1], gradient[e, 1, 0], gradient[e, 1, 1]
-        for q in range(len(weight)):
-            w = area[e] * weight[q]
-            h0, h1, h2 = hat[q]
-            x = y = a = b = 0.0
-            for i in range(count):
-                x += shape[q, i] * u[rows[e, i], 0]
-                y += shape[q, i] * u[rows[e, i], 1]
-            for i in range(lp):
-                a += slope_p[q, i, 0] * p[rows_p[e, i]]
-                b += slope_p[q, i, 1] * p[rows_p[e, i]]
-            px, py = a * ax + b * bx, a * ay + b * by
-            e_, s_ = (
-                h0 * dE[v0] + h1 * dE[v1] + h2 * dE[v2],
-                h0 * dS[v0] + h1 * dS[v1] + h2 * dS[v2],
-            )
-            fx = w * (h0 * f[v0, 0] + h1 * f[v1, 0] + h2 * f[v2, 0] + e_ * px)
-            fy = w * (h0 * f[v0, 1] + h1 * f[v1, 1] + h2 * f[v2, 1] + e_ * py)
-            gx = w * (h0 * g[v0, 0] + h1 * g[v1, 0] + h2 * g[v2, 0] - e_ * x + s_ * px)
-            gy = w * (h0 * g[v0, 1] + h1 * g[v1, 1] + h2 * g[v2, 1] - e_ * y + s_ * py)
-            for i in range(count):
-                F[rows[e, i], 0] += fx * shape[q, i]
-                F[rows[e, i], 1] += fy * shape[q, i]
-            a, b = gx * ax + gy * ay, gx * bx + gy * by
-            for i in range(lp):
-                G[rows_p[e, i]] -= a * slope_p[q, i, 0] + b * slope_p[q, i, 1]
-    return F, G
 
 
 @njit(cache=True)
@@ -387,5 +332,5 @@ def at_sides(
 
 __all__ = [
     "at_sides", "averages", "completed", "condense", "condensed", "convected", "crossing",
-    "entries", "gradients", "matrices", "passing", "product", "roughness", "sources", "weighted",
+    "entries", "gradients", "matrices", "passing", "roughness", "weighted",
 ]  # fmt: skip

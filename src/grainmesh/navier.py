@@ -7,8 +7,9 @@ test functions v and pressure test functions q,
     ∫E u·∇q - ∫S ∇p·∇q = -∫g·∇q + ∮q ε u·n                                                     (2)
     a(u, v) = ∫B u·v + ∫2 mu ε D(u):D(v) - 2/3 mu ε ∇·u ∇·v                                    (3)
 
-where v moves with the mesh, so that (1) conserves momentum; B, E, S, f and g come from the
-particles (`grainmesh.coupling`); without any, B = S = 0 and E = ε. A step Δt is
+where v moves with the mesh, so that (1) conserves momentum; B, f and g come from the particles
+(`grainmesh.coupling`), as do products of averages (`grainmesh.averaged`) on the left; but for those
+E = ε and S = 0. A step Δt is
 
     c (Q' - Q - Δt C) = (c - 1) D + Δt R',    D' = Q' - Q - Δt C,                              (4)
 
@@ -27,16 +28,16 @@ takes out what does not depend on relative motion: the same flow seen from a tra
 Equation (4) leaves a residual r' of the linear solver. Q' = ∫ρ ε' u'·v + Δt r'/c counts it in the
 next step, so momentum is conserved to round-off at any tolerance.
 
-Particles (`grainmesh.coupling`) act by averages over their kernels, E and S point by point: to keep
-the matrix sparse. What is too much is taken from the fields x' of the last step, or those foretold,
+With the averages, L, the matrix is K + L; K alone is stored, and factored. Unknowns β inside of
+triangles are eliminated from both: L joins them to pressures only, so with x the others
 
-    E, S: K x' = ... + (K - K_mean) x,                                                         (5)
+    K_ββ β = f_β - (K + L)_βx x                                                                (5)
 
-so it vanishes in steady flow, and is of the order of the change in a step otherwise.
+is solved triangle by triangle.
 
 The elements are Taylor-Hood P_k/P_{k-1}, MINI for k = 1, on straight triangles, where all integrals
 are exact. Matrices are kept triangle by triangle, which costs nothing anew when edges flip, and the
-unknowns inside of triangles are eliminated there. What is left is symmetric, an L D Lᵀ of it serves
+unknowns inside of triangles are eliminated there. What is left is symmetric, an L D Lᵀ of K serves
 as preconditioner until too much has changed.
 """
 
@@ -44,8 +45,10 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
-from grainmesh import integrals
+from grainmesh import averaged, integrals
+from grainmesh.averaged import Averaged, hats
 from grainmesh.carry import Keys, Topology
 from grainmesh.element import (
     Element,
@@ -97,8 +100,8 @@ class Operator:
         Linear fields: porosity, c ρ ε/Δt + B, and those of Eqs. (1), (2).
     f, g, w : (m, 2)
         Linear fields: those of Eqs. (1), (2), and the velocity of the mesh.
-    dE, dS : (m,)
-        The parts of E and S that act by averages, Eq. (5), linear.
+    averaged : Averaged, optional
+        The discs.
     stirred : (t,)
         Viscosity besides mu [Pa s].
     free : (N,)
@@ -128,7 +131,8 @@ class Operator:
         own, other = self.keys, self.pressure_keys
         self.split = 2 * own.size
         self.u, self.p = np.zeros((own.size, 2)), np.zeros(other.size)
-        self.eps, self.inertia, self.E, self.S, self.dE, self.dS = np.zeros((6, m))
+        self.eps, self.inertia, self.E, self.S = np.zeros((4, m))
+        self.averaged = Averaged(csr_array((0, m)), np.empty(0), np.empty(0))
         self.f, self.g, self.w = np.zeros((3, m, 2))
         self.stirred = np.zeros(t)
         # u of the outer unknowns of a triangle, p, and the rest of u
@@ -229,15 +233,10 @@ class Operator:
         return velocity, eps, normal, shape[edges[:, 1]]
 
     def source(self) -> Float:
-        """Right sides of (1) and (2) by particles, with the fields at hand for Eq. (5), (N,)."""
-        one, other = self.keys.element, self.pressure_keys.element
-        places, weight = rule(max(2 * self.order, one.degree + 1))
-        F, G = integrals.sources(
-            self.topology.corners, self.keys.rows, self.pressure_keys.rows, self.gradient,
-            self.area, self.u, self.p, self.f, self.g, self.dE, self.dS,
-            places, one.shape(places), other.slope(places), weight,
-        )  # fmt: skip
-        return np.concatenate([F.ravel(), G])
+        """Right sides of (1) and (2) by f and g, (N,)."""
+        found = self._loads(self.f)
+        found[self.split :] = -self._spilled(self.g)
+        return found
 
     def means(self) -> tuple[Float, Float, Float]:
         """Integrals of u (m, 2), ∇p (m, 2) and ∇×u (m,) times the hats of the points."""
@@ -264,17 +263,58 @@ class Operator:
 
     def apply(self, x: Float) -> Float:
         """Left sides of (1) and (2) for unknowns (N,), those inside of triangles eliminated."""
-        found: Float = integrals.product(self.K, self.rows, x, self.outer)
+        found: Float
+        slope = self._slopes(x)
+        on = self.topology.corners, self.area, self.averaged.force(slope), self._hats[0]
+        between = self.pressure_keys.rows.shape[1]
+        found, u = averaged.product(self.K, self.rows, x, self.outer, *on, self.order, between)
+        found[self.split :] += self._spilled(self.averaged.flux(u, slope))
         return found
 
     def condensed(self, f: Float) -> Float:
         """Right sides (N,) for `apply`."""
         found: Float = integrals.condensed(self.K, self.rows, f, self.outer)
+        x = np.zeros_like(f)
+        integrals.completed(self.K, self.rows, found, x, self.outer)
+        on, u = self._on_u, x[: self.split].reshape(-1, 2)
+        u = averaged.moments(*on, u, self._hats[0], len(self.eps))
+        found[self.split :] -= self._spilled(self.averaged.flux(u, np.zeros_like(u)))
         return found
 
     def completed(self, f: Float, x: Float) -> None:
         """Put the unknowns inside of triangles into x; f is of `condensed`."""
+        force = self._loads(self.averaged.force(self._slopes(x)))
+        f = f - integrals.condensed(self.K, self.rows, force, self.outer)
         integrals.completed(self.K, self.rows, f, x, self.outer)
+
+    def _slopes(self, x: Float) -> Float:
+        """∫φ_v ∇p (m, 2)."""
+        found: Float = averaged.slopes(*self._on_p, x[self.split :], self._hats[1], len(self.eps))
+        return found
+
+    def _loads(self, f: Float) -> Float:
+        """∫f·v of a linear field (m, 2), (N,)."""
+        found = np.zeros(len(self.free))
+        on = *self._on_u, f, self._hats[0], self.keys.size
+        found[: self.split] = averaged.loads(*on).ravel()
+        return found
+
+    def _spilled(self, g: Float) -> Float:
+        """∫g·∇q of a linear field (m, 2), (size of p,)."""
+        found: Float = averaged.spilled(*self._on_p, g, self._hats[1], self.pressure_keys.size)
+        return found
+
+    @property
+    def _on_u(self) -> tuple[Int, Int, Float]:
+        return self.topology.corners, self.keys.rows, self.area
+
+    @property
+    def _on_p(self) -> tuple[Int, Int, Float, Float]:
+        return self.topology.corners, self.pressure_keys.rows, self.gradient, self.area
+
+    @property
+    def _hats(self) -> tuple[Float, Float]:
+        return hats(self.keys.element, self.pressure_keys.element)
 
     @property
     def sought(self) -> Mask:
@@ -312,7 +352,8 @@ class Operator:
         """
         none = np.zeros_like(self.eps)
         self.stirred[:] = 0.0
-        self.load(inertia=self.density * self.eps / lasts, E=self.eps, S=none, dE=none, dS=none)
+        self.averaged = Averaged(csr_array((0, len(none))), np.empty(0), np.empty(0))
+        self.load(inertia=self.density * self.eps / lasts, E=self.eps, S=none)
         self.load(g=np.zeros_like(self.g))
         self.assemble()
         names, sought, found = np.arange(len(self.free)), self.sought, []
