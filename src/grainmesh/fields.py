@@ -472,6 +472,14 @@ class Fields:
         self._load_porosity()
         self._set_sides()
         changed |= np.abs(self.kernel.porosity - old_porosity) > 1e-13
+        if self.dt > 0.0 and changed.any():
+            k = self.kernel
+            op.load(inertia=op.density * k.porosity / self.dt, E=k.porosity)
+            op.load(g=k.field(self.discs.volume[:, None] * self.velocity))
+            volume = op.source()[op.split :]
+            if self.fluid.names(Inflow):
+                volume += op.inflow(self._through)
+            op.close(volume, changed)
         weight = self.kernel.porosity * self.kernel.hats * used
         momentum = op.momentum()
         missing = np.column_stack([self.Q[:m] - momentum[:m] - loads[:m, :2], lost])

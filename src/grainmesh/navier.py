@@ -35,6 +35,12 @@ triangles are eliminated from both: L joins them to pressures only, so with x th
 
 is solved triangle by triangle.
 
+After a flip, u interpolated to the new triangles has not the volume that it had. The pressure that
+would mend it, a push that discs feel for one step, is taken out before: on the triangles around
+what has changed, with discs as they are and nothing changed beyond, nor at outlets,
+
+    ∫ρ ε/Δt δ·v + a(δ, v) + ∫ε ∇π·v = 0,   ∫ε (u + δ)·∇q = what (2) says.                      (7)
+
 The elements are Taylor-Hood P_k/P_{k-1}, MINI for k = 1, on straight triangles, where all integrals
 are exact. Matrices are kept triangle by triangle, which costs nothing anew when edges flip, and the
 unknowns inside of triangles are eliminated there. What is left is symmetric, an L D Lᵀ of K serves
@@ -253,13 +259,52 @@ class Operator:
 
     def assemble(self) -> None:
         """The matrices of the triangles for the present fields and places of the points."""
+        self.K = self._matrices(slice(None))
+        integrals.condense(self.K, self.outer)
+
+    def _matrices(self, which: Mask | slice) -> Float:
+        """Of some triangles, nothing eliminated."""
         one, other = self.keys.element, self.pressure_keys.element
-        self.K = integrals.matrices(
-            self.topology.corners, self.gradient, self.area, 3 * self.order,
-            self.inertia, self.eps, self.viscosity + self.stirred, self.E, self.S,
+        found: Float = integrals.matrices(
+            self.topology.corners[which], self.gradient[which], self.area[which], 3 * self.order,
+            self.inertia, self.eps, self.viscosity + self.stirred[which], self.E, self.S,
             masses(one), slopes(one), divergences(one, other), slopes(other),
         )  # fmt: skip
-        integrals.condense(self.K, self.outer)
+        return found
+
+    def close(self, volume: Float, around: Mask) -> None:
+        """Change u around points (m,) so that it has volume again, Eq. (7).
+
+        Parameters
+        ----------
+        volume : (size of p,)
+            What ∫ε u·∇q is to be.
+        around : (m,) bool
+        """
+        corner = self.topology.corners
+        patch: Mask = np.any(around[corner], axis=1)
+        near = np.zeros(len(around), bool)
+        near[corner[patch]] = True
+        wide: Mask = np.any(near[corner], axis=1)  # all that the pressures of the patch see
+        inside = np.zeros_like(self.free)
+        inside[self.rows[patch]] = True
+        beyond = np.zeros_like(self.free)
+        beyond[self.rows[~patch]] = True
+        beyond[self.split :] = False
+        inside &= self.free & ~beyond
+        K, rows, f = self._matrices(wide), self.rows[wide], np.zeros(len(self.free))
+        u = self.x
+        u[self.split :] = 0.0
+        np.subtract.at(f, rows, np.einsum("tij,tj->ti", K, u[rows]))
+        f[self.split :] += volume
+        f[: self.split] = 0.0
+        K, rows = K[patch[wide]], self.rows[patch]
+        integrals.condense(K, self.outer)
+        sought, names = inside & ~self.within, np.arange(len(inside))
+        factor = Lagged(K, rows[:, : self.outer], sought, self.split, names)
+        x = factor.preconditioner(np.where(sought, names, -1))(f)
+        integrals.completed(K, rows, np.zeros_like(f), x, self.outer)
+        self.u += x[: self.split].reshape(-1, 2)
 
     def apply(self, x: Float) -> Float:
         """Left sides of (1) and (2) for unknowns (N,), those inside of triangles eliminated."""
