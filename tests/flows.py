@@ -54,7 +54,7 @@ def some_flow(order, periodic, seed=0, n=14):
     found = Coupling(box, fluid, (0.0, 0.0), discs, at, np.zeros((n, 2)))
     op, m = found.operator, len(found.mesh.points)
     assert not op.topology.used.all()
-    for name in ("eps", "inertia", "E", "S", "dE", "dS"):
+    for name in ("eps", "inertia", "E", "S"):
         op.load(**{name: rng.uniform(0.5, 1.0, m)})
     for name in ("f", "g", "w"):
         op.load(**{name: rng.normal(size=(m, 2))})
@@ -74,7 +74,7 @@ class Beside:
         self.V, self.Q = spaces(self.mesh, op.order, (), (), ())
         self.rows = [keys.of_mesh(self.grid) for keys in (op.keys, op.pressure_keys, linear)]
         self.P = spaces(self.mesh, 1, (), (), ())[1]
-        for name in ("eps", "inertia", "E", "S", "dE", "dS", "f", "g", "w"):
+        for name in ("eps", "inertia", "E", "S", "f", "g", "w"):
             setattr(self, name, linear.field(self.grid, getattr(op, name)))
         self.u, self.p = op.keys.field(self.grid, op.u), op.pressure_keys.field(self.grid, op.p)
         self.mu = GridFunction(L2(self.mesh, order=0))

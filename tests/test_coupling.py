@@ -14,6 +14,7 @@ from grainmesh.closures import HexagonalLattice, SquareLattice
 from grainmesh.drag import Bed, Drag, Permeability
 from grainmesh.element import element
 from grainmesh.medium import Fluid, Inflow, NoSlip, Outlet, Slip
+from grainmesh.nodes import Bounded
 
 D, G = 1e-3, 9.81
 SLOW, BOX = pytest.mark.slow, gm.Box(0.006, 0.008)
@@ -126,24 +127,23 @@ def flux(flow):
     return against(it.eps * it.u + solid), against(solid)
 
 
-def leaks(make, dt, order):
-    """The share of the discs' volume flux that is left, in steps without flips."""
-    run, found = make(order=order, tolerance=1e-9, dt=dt), []
-    while run.t < 0.01:
-        mesh = run.flow.operator
-        step(run)
-        if run.flow.operator is mesh and run.t > 0.004:  # else u is on another mesh by now
-            left, of_discs = flux(run.flow)
-            found.append(left / of_discs)
-    return np.median(found)
-
-
+@pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("make", [soup, closed])
-def test_volume_of_the_mixture(make):
-    """∇·(ε u + sum V ψ u_i) = 0 against all pressures, but for the change in a step."""
-    coarse, fine = (leaks(make, dt, 2) for dt in (5e-4, 1.25e-4))
-    assert coarse < 0.1
-    assert fine < 0.3 * coarse
+def test_volume_of_the_mixture(make, order, monkeypatch):
+    """∇·(ε u + sum V ψ u_i) = 0 against all pressures, to the tolerance of the solver."""
+    run, found = make(order=order, dt=5e-4), []
+    flow, mend = run.flow, Bounded.mend
+
+    def looking(mesh):  # before the fields are carried to another triangulation
+        if mesh is flow.mesh:
+            found.append(np.divide(*flux(flow)))
+        return mend(mesh)
+
+    monkeypatch.setattr(Bounded, "mend", looking)
+    step(run, 20)
+    assert flow.mesh.flips > 0
+    assert len(found) == 20
+    assert max(found) < 10.0 * flow.fluid.tolerance
 
 
 # Rest ---------------------------------------------------------------------------------------------
@@ -303,39 +303,26 @@ def test_any_drag_at_the_same_step(number):
 # Continuity ---------------------------------------------------------------------------------------
 
 
-def test_flips_leave_no_spikes():
-    """Steps of porosity, velocity and force at a flip are like those without one."""
-    run = soup(gravity=(0.0, -1.0), dt=2.5e-4, seed=5, porosity=0.75)
+@pytest.mark.parametrize("order", [1, 2])
+def test_flips_leave_no_spikes(order):
+    """What is off from the mean of the steps before and after, near flips and elsewhere."""
+    run = soup(gravity=(0.0, -1.0), dt=2.5e-4, seed=5, porosity=0.75, order=order)
     run._set_velocity(0.0 * run.velocity, 0.0 * run.spin)
     run.flow.velocity[:] = 0.0
-    n, flow = len(run), run.flow
-    kept, flipped = [], []
+    n, flow, kept, flips = len(run), run.flow, [], run.flow.mesh.flips
     step(run, 8)  # the start is a jump of its own
     for _ in range(100):
         if len(run.contacts):
             break
-        corners = flow.mesh.triangles.copy()
         kept.append(np.column_stack([flow.kernel.porosity[:n], flow.velocity, flow.force]))
         step(run)
-        new = np.zeros(n, dtype=bool)
-        same = np.isin(edges(flow.mesh.triangles), edges(corners))
-        new[flow.mesh.triangles[~same.reshape(-1, 3).all(axis=1)]] = True
-        flipped.append(new)
-    kept, flipped = np.array(kept), np.array(flipped)
-    bend = np.abs(kept[2:] - 2.0 * kept[1:-1] + kept[:-2])  # (steps, n, 5)
-    near = flipped[: len(bend)] | flipped[1 : len(bend) + 1]
-    near[1:] |= near[:-1].copy()  # the force answers a step later
-    size = np.ptp(kept, axis=(0, 1))
-    at_flip, elsewhere = bend[near].max(axis=0) / size, bend[~near].max(axis=0) / size
-    assert at_flip[0] < 0.1  # porosity itself has steps at flips, but small ones
-    assert (at_flip[1:] < 2.0 * elsewhere[1:]).all()
-    assert near.sum() > 10
-
-
-def edges(triangles):
-    """A number of each edge, (3 t,)."""
-    ends = np.sort(np.stack([triangles, np.roll(triangles, 1, axis=1)], axis=-1), axis=-1)
-    return (ends[..., 0] * 10_000 + ends[..., 1]).ravel()
+    assert flow.mesh.flips > flips + 4
+    kept = np.array(kept)
+    off = np.abs(kept[1:-1] - 0.5 * (kept[2:] + kept[:-2])).max(axis=(0, 1))
+    speed, force = (np.hypot(*kept[..., k : k + 2].T).mean() for k in (1, 3))
+    assert off[0] < 0.01  # hats change
+    assert off[1:3].max() < 1e-3 * speed
+    assert off[3:].max() < 0.02 * force  # 0.3 without Eq. (7) of navier
 
 
 # Restart ------------------------------------------------------------------------------------------
@@ -635,7 +622,7 @@ def test_a_disc_that_feels_its_own_flow_falls_too_fast_the_more_so_the_finer_the
 
 
 def test_a_run_goes_on_with_other_sides():
-    run = closed(n=30, size=(0.008, 0.012))
+    run = closed(n=30, size=(0.008, 0.012), spacing=1e-3)
     step(run, 4)
     solid = run.flow.velocity.copy()
     sides = {"bottom": gm.Inflow((0.0, 0.004)), "top": gm.Outlet(5.0)}
@@ -647,7 +634,7 @@ def test_a_run_goes_on_with_other_sides():
     assert found["pressure top"] == pytest.approx(5.0, rel=1e-9)
     assert found["pressure bottom"] > 5.0
     # What comes in goes out.
-    assert run.flow.flux("top") == pytest.approx(0.004 * 0.008, rel=0.1)
+    assert run.flow.flux("top") == pytest.approx(0.004 * 0.008, rel=0.02)
     with pytest.raises(gm.InputError, match="order"):
         run.change(replace(run.model, fluid=replace(run.model.fluid, order=3)))
     with pytest.raises(gm.InputError, match="box with fluid"):

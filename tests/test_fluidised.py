@@ -42,6 +42,13 @@ def weight(box, grains):
     return (HEAVY - RHO) * G * np.pi / 4.0 * (grains.diameter**2).sum() / box.width
 
 
+def borne(simulation):
+    """By the floor, over the weight in the fluid."""
+    touch, box = simulation.wall_contacts, simulation.model.box
+    force = abs(touch.force @ touch.normal[:, 1])
+    return force / box.width / weight(box, simulation.particles)
+
+
 def drop(simulation):
     """Mean pressure at the bottom [Pa]; it is 0 at the top."""
     return simulation.flow.pressure_at("bottom") / simulation.model.box.width
@@ -112,12 +119,10 @@ def test_fluidised_bed(bed):
     def observe(now):
         kernel = now.flow.kernel
         solid = ((1.0 - kernel.porosity) * kernel.hats).sum()
-        touch = now.wall_contacts
-        borne = touch.force @ touch.normal[:, 1] / box.width / load  # by the floor
-        rows.append([now.t, drop(now) / load, now.x[:, 1].mean(), solid / area, abs(borne)])
+        rows.append([now.t, drop(now) / load, now.x[:, 1].mean(), solid / area, borne(now)])
 
     run.run(until=1.2, every=0.01, observe=observe)
-    t, pressure, height, solid, borne = np.array(rows).T
+    t, pressure, height, solid, floor = np.array(rows).T
     level = 0.25 * np.minimum(np.floor((t - 1e-6) / 0.1) + 1, 8)
     late = np.abs(t % 0.1 - 0.07) < 0.025  # not where the flow has just been raised
 
@@ -129,9 +134,34 @@ def test_fluidised_bed(bed):
     assert 1.0 / slope == pytest.approx(1.0, rel=0.05)
     # A few discs stay on the floor and bear on it; fluid and floor carry the bed.
     flowing = (level >= 1.5) & late
-    assert (pressure + borne)[flowing].mean() == pytest.approx(1.0, rel=0.01)
+    assert (pressure + floor)[flowing].mean() == pytest.approx(1.0, rel=0.01)
     assert mean(level >= 1.5) == pytest.approx(1.0, rel=0.06)
     assert height[level == 0.5] == pytest.approx(grains.x[:, 1].mean(), rel=2e-3)
     assert height[t > 1.0].min() > 1.02 * grains.x[:, 1].mean()
     assert solid == pytest.approx(1.0, abs=1e-12)  # no drift of mass
     assert run.measure()["particles"] == len(grains)
+
+
+@pytest.mark.slow
+def test_pressure_bears_a_deep_bed():
+    """27 rows: what the lowest leave to the floor, being looser at it, is no longer much."""
+    box, grains = settled(12, 324)
+    least, load, each = fluidising(box, grains), weight(box, grains), 0.2
+
+    def ramp(x, t):
+        level = (0.75, 1.5, 1.75, 2.0)[min(int(t / each), 3)]
+        return np.column_stack([np.zeros(len(x)), np.full(len(x), level * least)])
+
+    run, rows = gm.Simulation(model(box, fluid(ramp, dt=1e-3)), grains), []
+
+    def observe(now):
+        rows.append([now.t, drop(now) / load, borne(now)])
+
+    run.run(until=4.0 * each, every=0.01, observe=observe)
+    t, pressure, floor = np.array(rows).T
+    late = (t - 1e-6) % each > 0.4 * each
+    at_rest, flowing = late & (t < each), late & (t > each)
+    assert 0.75 / pressure[at_rest].mean() == pytest.approx(1.0, rel=0.05)
+    assert (pressure + floor)[flowing].mean() == pytest.approx(1.0, rel=0.005)
+    assert pressure[flowing].mean() == pytest.approx(1.0, rel=0.03)
+    assert pressure[late & (t > 3.0 * each)].mean() == pytest.approx(1.0, rel=0.02)

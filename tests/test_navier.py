@@ -19,9 +19,11 @@ from ngsolve import (
 
 from flows import SIDES, Beside, Nothing, flow, some_flow
 from grainmesh import integrals
-from grainmesh.carry import Topology
+from grainmesh.averaged import Averaged
+from grainmesh.carry import Keys, Topology
 from grainmesh.coupling import Coupling, Discs
 from grainmesh.domain import Box
+from grainmesh.element import element
 from grainmesh.medium import Fluid, Inflow, NoSlip, Outlet, Slip
 from grainmesh.navier import Operator
 
@@ -113,10 +115,9 @@ def test_loads_are_those_of_ngsolve(order, periodic):
     assert close(op.momentum(), it.load("u", LinearForm(eps * u * v * much)))
     mass = it.load("u", LinearForm(eps * v[0] * much))
     assert close(op.mass(), mass[:, 0])
-    f, g = it.f + it.dE * grad(it.p), it.g - it.dE * u + it.dS * grad(it.p)
     F, G = op.source()[: op.split].reshape(-1, 2), op.source()[op.split :]
-    assert close(F, it.load("u", LinearForm(f * v * much)))
-    assert close(G, it.load("p", LinearForm(-g * grad(q) * much)))
+    assert close(F, it.load("u", LinearForm(it.f * v * much)))
+    assert close(G, it.load("p", LinearForm(-it.g * grad(q) * much)))
     fields, means = (u, grad(it.p), Grad(u)[1, 0] - Grad(u)[0, 1]), np.split(op.means(), [2, 4], 1)
     for mean, field in zip(means, fields, strict=True):
         parts = [field[k] for k in range(field.dim)] if field.dim > 1 else [field]
@@ -218,6 +219,35 @@ def test_bits_of_a_triangle_do_not_depend_on_its_place_among_them(order):
     other.assemble()
     assert np.array_equal(other.K, K)
     assert np.array_equal(np.tril(other.inner, op.outer), inner)
+
+
+@EACH
+def test_averages_are_in_the_matrix_condensed_with_it(order, periodic):
+    """Eq. (1) of averaged, from integrals of NGSolve, beside the matrices of the triangles."""
+    found, rng = some_flow(order, periodic)
+    op, k, n = found.operator, found.kernel, len(found.velocity)
+    condensed, op.outer = op.outer, op.rows.shape[1]
+    op.assemble()
+    K = np.array([op.apply(row) for row in np.eye(len(op.free))])
+    E, S, it = rng.uniform(0.5, 1.0, n), rng.uniform(0.5, 1.0, n), Beside(found)
+    v, q, much = it.V.TestFunction(), it.Q.TestFunction(), dx(bonus_intorder=3 * max(order, 3))
+    for one, disc in enumerate(np.eye(n)):
+        psi = Keys(op.topology, element(1)).field(it.grid, k.field(disc))
+        for axis in range(2):
+            u = np.append(it.load("u", LinearForm(psi * v[axis] * much)).ravel(), 0.0 * op.p)
+            slope = np.append(0.0 * op.u, it.load("p", LinearForm(psi * grad(q)[axis] * much)))
+            K += E[one] * (np.outer(u, slope) + np.outer(slope, u))
+            K -= S[one] * np.outer(slope, slope)
+    op.averaged = Averaged(k.spread, k.hats, E, S)
+    assert close(np.array([op.apply(row) for row in np.eye(len(K))]), K)
+    op.outer = condensed
+    op.assemble()
+    x, rest = rng.normal(size=len(K)), ~op.within
+    f = K @ x
+    y = np.where(op.within, np.nan, x)
+    assert close(op.apply(y)[rest], op.condensed(f)[rest])
+    op.completed(op.condensed(f), y)
+    assert close(y, x)
 
 
 @EACH

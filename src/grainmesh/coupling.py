@@ -21,10 +21,12 @@ holds up the weight of the fluid alone, left out everywhere, holds up rho V g of
 the discs are eliminated from the momentum of the fluid, which gains b ψ_i (u_i - u), and from the
 volume of the mixture, ∇·(ε u + sum_i V_i ψ_i u_i) = 0:
 
-    B = sum b c α ψ,   E = ε + sum b α (Δt/m) V ψ,   S = sum V² α (Δt/m) ψ,
-    f = sum b α u* ψ,   g = sum V α u* ψ                                                       (4)
+    B = sum b c α ψ,   f = sum b α u* ψ,   g = sum V α u* ψ,
+    E_i = b α (Δt/m) V,   S_i = V² α Δt/m                                                      (4)
 
-in `navier`, Eqs. (1) to (3). What the fluid loses is, to round-off, what the discs get.
+in `navier`, Eqs. (1) to (3), and `averaged`, Eq. (1). What the fluid loses is, to round-off, what
+the discs get; the volume of the mixture is kept to the tolerance of the linear solver. (In B the
+average of u is taken for u, which differs by what has no mean over a kernel.)
 
 While the discs collide, the force is F_i - b_eff (v - u_i): of the last step, less what the
 fluid would resist if it were no more than that of the disc's own cell, of mass m_f = rho ε_i A_i,
@@ -49,6 +51,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from grainmesh import integrals
+from grainmesh.averaged import Averaged
 from grainmesh.drag import Bed
 from grainmesh.errors import RunError
 from grainmesh.fields import LEAST_POROSITY, Discs, Fields, Kernel
@@ -197,21 +200,13 @@ class Coupling(Fields):
         if self.dt > 0.0:
             op.u += dt / self.dt * self.du
         self._set_sides()
-        u, slope, _ = np.split(k.mean(op.means()), [2, 4], axis=1)
-        dE, dS = k.field(b * share * V), k.field(V**2 * share)
         op.load(
             inertia=c * fluid.density * eps / dt + k.field(b * c * alpha),
-            E=eps + dE,
-            S=dS,
-            dE=dE,
-            dS=dS,
-            f=k.field((b * alpha)[:, None] * ahead - known - (b * share * V)[:, None] * slope)
-            + eps[:, None] * push,
-            g=k.field(
-                V[:, None]
-                * (alpha[:, None] * ahead + share[:, None] * (b[:, None] * u - V[:, None] * slope))
-            ),
+            E=eps,
+            f=k.field((b * alpha)[:, None] * ahead - known) + eps[:, None] * push,
+            g=k.field((V * alpha)[:, None] * ahead),
         )
+        op.averaged = Averaged(k.spread, k.hats, b * share * V, V**2 * share)
         op.stirred[:] = self._stirred()
         self.added = float(op.stirred.max())
         f = op.source()

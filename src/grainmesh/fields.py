@@ -24,7 +24,7 @@ Float = NDArray[np.float64]
 Int = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Arrays = dict[str, NDArray[Any]]
-Kept = tuple[Bounded, Bounded, Float, dict[str, Any]]
+Kept = tuple[Bounded, Bounded, Float, int, dict[str, Any]]
 
 #: Least porosity of a vertex.
 LEAST_POROSITY = 0.02
@@ -393,11 +393,12 @@ class Fields:
     def keep(self) -> Kept:
         """The state before a step, for `back`."""
         state = {name: getattr(self, name) for name in (*STATE, *NUMBERS, *REFERENCES)}
-        return _copied(self.mesh), _copied(self.bed), self.operator.x, state
+        meshes = _copied(self.mesh), _copied(self.bed)
+        return *meshes, self.operator.x, self.solver.iterations, state
 
     def back(self, kept: Kept) -> None:
         """Undo a step that failed, and whatever of it was done."""
-        mesh, bed, x, state = kept
+        mesh, bed, x, self.solver.iterations, state = kept
         self.mesh, self.bed = _copied(mesh), _copied(bed)
         for name, value in state.items():
             setattr(self, name, value)
@@ -454,8 +455,15 @@ class Fields:
         self.kernel = k = self._kernel(changed)
         self._load_porosity()
         self._set_sides()
-        # Each region that changed keeps its momentum.
         changed |= np.abs(k.porosity - old_porosity) > 1e-13
+        if self.dt > 0.0 and changed.any():
+            op.load(inertia=op.density * k.porosity / self.dt, E=k.porosity)
+            op.load(g=k.field(self.discs.volume[:, None] * self.velocity))
+            volume = op.source()[op.split :]
+            if self.fluid.names(Inflow):
+                volume += op.inflow(self._through)
+            op.close(volume, changed)
+        # Each region that changed keeps its momentum.
         at, region = regions(old.topology, op.topology, changed)
         used = op.topology.used[at]
         lost = np.where(used[:, None], 0.0, self.D[at])  # of nodes that have left

@@ -14,7 +14,7 @@ edge that flips asks for nothing. A zero on the diagonal is no pivot. In each pa
 first, which makes the diagonal of the pressures negative, and from each triangle all of these get a
 little of their own stiffness,
 
-    -PIVOT diag(B diag(A)⁻¹ Bᵀ),                                                               (2)
+    -pivot diag(B diag(A)⁻¹ Bᵀ),                                                               (2)
 
 so that none of them lacks a pivot. Something must give them a level, or one must be left out.
 Numbers are of single precision, which halves what has to be read: this is a preconditioner.
@@ -71,10 +71,19 @@ class Fronts:
         Of the triangles [m].
     some : (c,) int, optional
         The triangles that have all that is sought; all of them if not given.
+    pivot : float, optional
+        Share of the pressures' own stiffness in Eq. (2).
     """
 
     def __init__(
-        self, K: Float, rows: Int, sought: Mask, first: int, corners: Float, some: Int | None = None
+        self,
+        K: Float,
+        rows: Int,
+        sought: Mask,
+        first: int,
+        corners: Float,
+        some: Int | None = None,
+        pivot: float = PIVOT,
     ) -> None:
         some = np.arange(len(rows)) if some is None else some
         depth = max(0, int(np.log2(max(1.0, len(some) * rows.shape[1] / LEAF))))
@@ -85,7 +94,19 @@ class Fronts:
         self._parts = len(panel) - 1
         self._panels = np.empty(panel[-1], np.float32)
         self._pivots, heap = np.empty(len(unknown), np.float32), np.empty(room, np.float32)
-        about = K, rows, order, depth, first, at, heap, self._panels, self._pivots, *self._plan
+        about = (
+            K,
+            rows,
+            order,
+            depth,
+            first,
+            pivot,
+            at,
+            heap,
+            self._panels,
+            self._pivots,
+            *self._plan,
+        )
         self._halves(_factor, about, about)
         _factor(self._parts - 1, self._parts, *about)
 
@@ -314,7 +335,7 @@ def _eliminate(F, own, size, c):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _factor(  # type: ignore[no-untyped-def]
-    low, high, K, rows, order, depth, pressure, at, heap, panels, pivots,
+    low, high, K, rows, order, depth, pressure, pivot, at, heap, panels, pivots,
     panel, unknown, start, height, begin, shared, place,
 ):  # fmt: skip
     """Rows of U of some parts, one part after the other, without the diagonal; and 1/D."""
@@ -352,7 +373,7 @@ def _factor(  # type: ignore[no-untyped-def]
                             if rows[e, j] < pressure:
                                 own += K[e, i, j] ** 2 / K[e, j, j]
                     if rows[e, i] >= pressure:
-                        F[local[i], local[i]] -= np.float32(PIVOT * own)  # Eq. (2)
+                        F[local[i], local[i]] -= np.float32(pivot * own)  # Eq. (2)
             leaf += 1
         else:
             for child in (k - (1 << height[k]), k - 1):

@@ -302,66 +302,6 @@ def convected(
 
 
 @njit(cache=True, fastmath={"contract"})
-def sources(
-    corner: Int, rows: Int, rows_p: Int, gradient: Float, area: Float, fields: Float,
-    u: Float, p: Float, H: Float, J: Float, R: Float, P: Float,
-) -> tuple[Float, Float]:  # fmt: skip
-    """∫(f + dE ∇p)·v (size, 2) and -∫(g - dE u + dS ∇p)·∇q (size_p, 1), navier Eqs. (1), (2), (5).
-
-    `fields` are f, g, dE and dS, p is (size_p, 1); tables `hats`, `tilts` of the pressure,
-    `divergences`, and `slopes` of the pressure.
-    """
-    found, found_p, count, lp = np.zeros_like(u), np.zeros_like(p), len(H), len(P)
-    D, X = np.zeros((4, BLOCK)), np.zeros((3, 6, BLOCK))
-    U, N = np.zeros((count, 2, BLOCK)), np.zeros((lp, 1, BLOCK))
-    F, G = np.zeros((count, 2, BLOCK)), np.zeros((lp, 1, BLOCK))
-    for first in range(0, len(corner), BLOCK):
-        _shapes(gradient, first, D)
-        _gather(fields, corner, first, X)
-        _gather(u, rows, first, U)
-        _gather(p, rows_p, first, N)
-        for i in range(count):
-            h0, h1, h2 = H[i]
-            for c in range(2):
-                for b in range(BLOCK):
-                    F[i, c, b] = h0 * X[0, c, b] + h1 * X[1, c, b] + h2 * X[2, c, b]
-        for i in range(lp):
-            (j00, j01), (j10, j11), (j20, j21) = J[i]
-            for b in range(BLOCK):
-                x0 = j00 * X[0, 2, b] + j10 * X[1, 2, b] + j20 * X[2, 2, b]
-                y0 = j00 * X[0, 3, b] + j10 * X[1, 3, b] + j20 * X[2, 3, b]
-                x1 = j01 * X[0, 2, b] + j11 * X[1, 2, b] + j21 * X[2, 2, b]
-                y1 = j01 * X[0, 3, b] + j11 * X[1, 3, b] + j21 * X[2, 3, b]
-                G[i, 0, b] = -(x0 * D[0, b] + y0 * D[1, b] + x1 * D[2, b] + y1 * D[3, b])
-            for j in range(count):
-                (r00, r01), (r10, r11), (r20, r21) = R[i, j]
-                for b in range(BLOCK):
-                    r0 = r00 * X[0, 4, b] + r10 * X[1, 4, b] + r20 * X[2, 4, b]
-                    r1 = r01 * X[0, 4, b] + r11 * X[1, 4, b] + r21 * X[2, 4, b]
-                    x, y = r0 * D[0, b] + r1 * D[2, b], r0 * D[1, b] + r1 * D[3, b]
-                    F[j, 0, b] += x * N[i, 0, b]
-                    F[j, 1, b] += y * N[i, 0, b]
-                    G[i, 0, b] += x * U[j, 0, b] + y * U[j, 1, b]
-            for j in range(lp):
-                (r00, r01), (r10, r11) = P[i, j, 0]
-                (s00, s01), (s10, s11) = P[i, j, 1]
-                (t00, t01), (t10, t11) = P[i, j, 2]
-                for b in range(BLOCK):
-                    z0, z1, z2 = X[0, 5, b], X[1, 5, b], X[2, 5, b]
-                    ax, ay, bx, by = D[0, b], D[1, b], D[2, b], D[3, b]
-                    d00, d11 = z0 * r00 + z1 * s00 + z2 * t00, z0 * r11 + z1 * s11 + z2 * t11
-                    cross = z0 * (r01 + r10) + z1 * (s01 + s10) + z2 * (t01 + t10)
-                    G[i, 0, b] -= N[j, 0, b] * (
-                        d00 * (ax * ax + ay * ay)
-                        + cross * (ax * bx + ay * by)
-                        + d11 * (bx * bx + by * by)
-                    )
-        _add(found, rows, first, area, F)
-        _add(found_p, rows_p, first, area, G)
-    return found, found_p
-
-
-@njit(cache=True, fastmath={"contract"})
 def averages(
     corner: Int, rows: Int, rows_p: Int, gradient: Float, area: Float, u: Float, p: Float, m: int,
     H: Float, L: Float, J: Float,
@@ -475,5 +415,5 @@ def at_sides(
 
 __all__ = [
     "at_sides", "averages", "completed", "condensed", "convected", "crossing",
-    "gradients", "matrices", "passing", "product", "roughness", "sources", "spread", "weighted",
+    "gradients", "matrices", "passing", "product", "roughness", "spread", "weighted",
 ]  # fmt: skip

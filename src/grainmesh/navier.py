@@ -7,8 +7,9 @@ test functions v and pressure test functions q,
     ∫E u·∇q - ∫S ∇p·∇q = -∫g·∇q + ∮q ε u·n                                                     (2)
     a(u, v) = ∫B u·v + ∫2 mu ε D(u):D(v) - 2/3 mu ε ∇·u ∇·v                                    (3)
 
-where v moves with the mesh, so that (1) conserves momentum; B, E, S, f and g come from the
-particles (`grainmesh.coupling`); without any, B = S = 0 and E = ε. A step Δt is
+where v moves with the mesh, so that (1) conserves momentum; B, f and g come from the particles
+(`grainmesh.coupling`), as do products of averages (`grainmesh.averaged`) on the left; but for those
+E = ε and S = 0. A step Δt is
 
     c (Q' - Q - Δt C) = (c - 1) D + Δt R',    D' = Q' - Q - Δt C,                              (4)
 
@@ -27,16 +28,22 @@ takes out what does not depend on relative motion: the same flow seen from a tra
 Equation (4) leaves a residual r' of the linear solver. Q' = ∫ρ ε' u'·v + Δt r'/c counts it in the
 next step, so momentum is conserved to round-off at any tolerance.
 
-Particles (`grainmesh.coupling`) act by averages over their kernels, E and S point by point: to keep
-the matrix sparse. What is too much is taken from the fields x' of the last step, or those foretold,
+With the averages, L, the matrix is K + L; K alone is stored, and factored. Unknowns β inside of
+triangles are eliminated from both: L joins them to pressures only, so with x the others
 
-    E, S: K x' = ... + (K - K_mean) x,                                                         (5)
+    K_ββ β = f_β - (K + L)_βx x                                                                (5)
 
-so it vanishes in steady flow, and is of the order of the change in a step otherwise.
+is solved triangle by triangle.
+
+After a flip, u interpolated to the new triangles has not the volume that it had. The pressure that
+would mend it, a push that discs feel for one step, is taken out before: on the triangles around
+what has changed, with discs as they are and nothing changed beyond, nor at outlets,
+
+    ∫ρ ε/Δt δ·v + a(δ, v) + ∫ε ∇π·v = 0,   ∫ε (u + δ)·∇q = what (2) says.                      (7)
 
 The elements are Taylor-Hood P_k/P_{k-1}, MINI for k = 1, on straight triangles, where all integrals
 are exact. Matrices are kept triangle by triangle, which costs nothing anew when edges flip, and the
-unknowns inside of triangles are eliminated there. What is left is symmetric, an L D Lᵀ of it serves
+unknowns inside of triangles are eliminated there. What is left is symmetric, an L D Lᵀ of K serves
 as preconditioner until too much has changed.
 """
 
@@ -45,7 +52,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from grainmesh import integrals
+from grainmesh import averaged, integrals
+from grainmesh.averaged import Averaged
 from grainmesh.carry import Keys, Topology, unknowns
 from grainmesh.element import (
     at_edges,
@@ -66,6 +74,8 @@ Mask = NDArray[np.bool_]
 
 #: Residual of the flow by single forces.
 MOBILITY_TOLERANCE, MOST = 1e-9, 40
+#: Pivot of `fronts`, Eq. (2), where each patch of triangles has pressures without a level.
+CLOSED = 1e-5
 
 
 class Operator:
@@ -100,8 +110,8 @@ class Operator:
         Linear fields: porosity, c ρ ε/Δt + B, and those of Eqs. (1), (2).
     f, g, w : (m, 2)
         Linear fields: those of Eqs. (1), (2), and the velocity of the mesh.
-    dE, dS : (m,)
-        The parts of E and S that act by averages, Eq. (5), linear.
+    averaged : Averaged, optional
+        The discs.
     stirred : (t,)
         Viscosity besides mu [Pa s].
     memory : (any,)
@@ -136,10 +146,10 @@ class Operator:
         self.split = 2 * own.size
         self.u, self.p = np.zeros((own.size, 2)), np.zeros(other.size)
         # What a loop over the triangles needs at a point lies together.
-        self.fields = fields = np.zeros((m, 12))
-        self.w, self.f, self.g = fields[:, :2], fields[:, 6:8], fields[:, 8:10]
+        self.fields = fields = np.zeros((m, 10))
+        self.w, self.f, self.g = fields[:, :2], fields[:, 6:8], fields[:, 8:]
         self.eps, self.inertia, self.E, self.S = fields[:, 2:6].T
-        self.dE, self.dS = fields[:, 10:].T
+        self.averaged: Averaged | None = None
         self.stirred, self.memory = np.zeros(t), np.empty(0)
         outer, inner = 3 * order, own.rows.shape[1] - 3 * order
         self.rows = unknowns(own, other, outer)
@@ -228,14 +238,10 @@ class Operator:
         return velocity, eps, normal, shape[edges[:, 1]]
 
     def source(self) -> Float:
-        """Right sides of (1) and (2) by particles, with the fields at hand for Eq. (5), (N,)."""
-        one, other = self.keys.element, self.pressure_keys.element
-        F, G = integrals.sources(
-            self.topology.corners, self.keys.rows, self.pressure_keys.rows, self.gradient,
-            self.area, self.fields[:, 6:], self.u, self.p[:, None],
-            hats(one), tilts(other), divergences(one, other), slopes(other),
-        )  # fmt: skip
-        return np.concatenate([F.ravel(), G.ravel()])
+        """Right sides of (1) and (2) by f and g, (N,)."""
+        found = self._loads(self.f)
+        found[self.split :] = -self._spilled(self.g)
+        return found
 
     def means(self) -> Float:
         """Integrals of u, ∇p and ∇×u times the hats of the points (m, 5)."""
@@ -251,32 +257,126 @@ class Operator:
 
     def assemble(self) -> None:
         """The matrices of the triangles for the present fields and places of the points."""
-        one, other = self.keys.element, self.pressure_keys.element
         (t, n), left = self.rows.shape, self.outer
         split, size = t * left**2, t * (left**2 + (n - left) * n)
         if len(self.memory) < size:
             self.memory = np.empty(size + size // 16)
         self.K = self.memory[:split].reshape(t, left, left)
         self.inner = self.memory[split:size].reshape(t, n - left, n)
+        self._matrices(slice(None), self.K, self.inner)
+
+    def _matrices(self, which: Mask | slice, K: Float, inner: Float) -> None:
+        """Of some triangles, into K and `inner`."""
+        one, other = self.keys.element, self.pressure_keys.element
         integrals.matrices(
-            self.topology.corners, self.gradient, self.area, 3 * self.order, self.fields[:, 2:6],
-            self.viscosity + self.stirred,
-            masses(one), slopes(one), divergences(one, other), slopes(other), self.K, self.inner,
+            self.topology.corners[which], self.gradient[which], self.area[which], 3 * self.order,
+            self.fields[:, 2:6], self.viscosity + self.stirred[which],
+            masses(one), slopes(one), divergences(one, other), slopes(other), K, inner,
         )  # fmt: skip
+
+    def close(self, volume: Float, around: Mask) -> None:
+        """Change u around points (m,) so that it has volume again, Eq. (7).
+
+        Parameters
+        ----------
+        volume : (size of p,)
+            What ∫ε u·∇q is to be.
+        around : (m,) bool
+        """
+        corner, n, left = self.topology.corners, self.rows.shape[1], self.outer
+        patch: Mask = np.any(around[corner], axis=1)
+        near = np.zeros(len(around), bool)
+        near[corner[patch]] = True
+        wide: Mask = np.any(near[corner], axis=1)  # all that the pressures of the patch see
+        sought, beyond = np.zeros((2, len(self.free)), bool)
+        sought[self.rows[patch, :left]] = True
+        beyond[self.rows[~patch]] = True
+        beyond[self.split :] = False
+        sought &= self.free & ~beyond
+        K, rows = np.empty((np.count_nonzero(wide), n, n)), self.rows[wide]
+        self._matrices(wide, K, K[:, :0])
+        u, f = self.x, np.zeros(len(self.free))
+        u[self.split :] = 0.0
+        f[self.split :] = volume - integrals.product(K, rows, u)[self.split :]
+        rows = self.rows[patch]
+        K, inner = np.empty((len(rows), left, left)), np.empty((len(rows), n - left, n))
+        self._matrices(patch, K, inner)
+        corners = self.corners[patch]
+        x = Fronts(K, rows[:, :left], sought, self.split, corners, pivot=CLOSED).solve(f)
+        integrals.completed(inner, rows, np.zeros_like(f), x)
+        self.u += x[: self.split].reshape(-1, 2)
+
+    def product(self, x: Float) -> Float:
+        """K x for unknowns (N,), those inside of triangles eliminated, without the averages."""
+        found: Float = integrals.product(self.K, self.rows, x)
+        return found
 
     def apply(self, x: Float) -> Float:
         """Left sides of (1) and (2) for unknowns (N,), those inside of triangles eliminated."""
-        found: Float = integrals.product(self.K, self.rows, x)
+        found = self.product(x)
+        if self.averaged is not None:
+            slope = self._slopes(x)
+            load = self._condensed(self._loads(self.averaged.force(slope)))
+            found[self.split :] += self._spilled(self.averaged.flux(self._means(-load, x), slope))
+            found += load
         return found
 
     def condensed(self, f: Float) -> Float:
         """Right sides (N,) for `apply`."""
-        found: Float = integrals.condensed(self.inner, self.rows, f)
+        found = self._condensed(f)
+        if self.averaged is not None and self.outer < self.rows.shape[1]:
+            u = self._means(found, np.zeros_like(f))
+            found[self.split :] -= self._spilled(self.averaged.flux(u, np.zeros_like(u)))
         return found
 
     def completed(self, f: Float, x: Float) -> None:
         """Put the unknowns inside of triangles into x; f is of `condensed`."""
+        if self.averaged is not None:
+            f = f - self._condensed(self._loads(self.averaged.force(self._slopes(x))))
         integrals.completed(self.inner, self.rows, f, x)
+
+    def _condensed(self, f: Float) -> Float:
+        """Of K alone."""
+        found: Float = integrals.condensed(self.inner, self.rows, f)
+        return found
+
+    def _means(self, f: Float, x: Float) -> Float:
+        """∫φ_v u (m, 2) with the unknowns inside of triangles that f gives."""
+        if self.outer < self.rows.shape[1]:
+            x = x.copy()
+            integrals.completed(self.inner, self.rows, f, x)
+        u, one = x[: self.split].reshape(-1, 2), self.keys.element
+        found: Float = averaged.moments(*self._on_u, u, hats(one), len(self.eps))
+        return found
+
+    def _slopes(self, x: Float) -> Float:
+        """∫φ_v ∇p (m, 2)."""
+        found: Float = averaged.slopes(
+            *self._on_p, x[self.split :], tilts(self.pressure_keys.element), len(self.eps)
+        )
+        return found
+
+    def _loads(self, f: Float) -> Float:
+        """∫f·v of a linear field (m, 2), (N,)."""
+        found = np.zeros(len(self.free))
+        on = *self._on_u, f, hats(self.keys.element), self.keys.size
+        found[: self.split] = averaged.loads(*on).ravel()
+        return found
+
+    def _spilled(self, g: Float) -> Float:
+        """∫g·∇q of a linear field (m, 2), (size of p,)."""
+        found: Float = averaged.spilled(
+            *self._on_p, g, tilts(self.pressure_keys.element), self.pressure_keys.size
+        )
+        return found
+
+    @property
+    def _on_u(self) -> tuple[Int, Int, Float]:
+        return self.topology.corners, self.keys.rows, self.area
+
+    @property
+    def _on_p(self) -> tuple[Int, Int, Float, Float]:
+        return self.topology.corners, self.pressure_keys.rows, self.gradient, self.area
 
     @property
     def sought(self) -> Mask:
@@ -320,7 +420,8 @@ class Operator:
         """
         none = np.zeros_like(self.eps)
         self.stirred[:] = 0.0
-        self.load(inertia=self.density * self.eps / lasts, E=self.eps, S=none, dE=none, dS=none)
+        self.averaged = None
+        self.load(inertia=self.density * self.eps / lasts, E=self.eps, S=none)
         self.load(g=np.zeros_like(self.g))
         self.assemble()
         sought, found, precondition = self.sought, [], self.factor().solve

@@ -166,7 +166,7 @@ class Solver:
         inside[op.rows[near[on.corners].any(axis=1)]] = True  # and one ring around them
         inside &= sought
         patch = op.factor(inside).solve
-        return mended(first, op.apply, patch), float(inside.sum() / sought.sum())
+        return mended(first, op.product, patch), float(inside.sum() / sought.sum())
 
 
 def _levelled(solve: Apply, level: NDArray[np.int64]) -> Apply:

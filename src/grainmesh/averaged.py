@@ -1,0 +1,124 @@
+r"""What discs that have been eliminated add to the equations of a flow: products of averages.
+
+A disc i that the flow drags and pushes, and whose volume flows with it, is known by the averages of
+u and ∇p over its kernel ψ_i (`grainmesh.coupling`). Taken out, it leaves, for test functions v, q,
+
+    sum_i E_i <∇p>_i·<v>_i,    sum_i (E_i <u>_i - S_i <∇p>_i)·<∇q>_i,    <f>_i = ∫ψ_i f.       (1)
+
+This is symmetric, and full in a neighbourhood of each disc, so it is applied, never stored. ψ_i is
+linear on the triangles: averages are those of integrals against the hats φ_v.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from grainmesh.spread import Spread
+
+Float = NDArray[np.float64]
+Int = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Averaged:
+    """The discs of Eq. (1).
+
+    Parameters
+    ----------
+    spread : Spread
+        Of the discs.
+    hats : (m,)
+        Integrals of the hats, 1 for points that are no vertex [m2].
+    E, S : (n,)
+    """
+
+    spread: Spread
+    hats: Float
+    E: Float
+    S: Float
+
+    def force(self, slope: Float) -> Float:
+        """Density, linear (m, 2), of the first of Eq. (1), from ∫φ_v ∇p (m, 2)."""
+        return self._field(self.E[:, None] * self._mean(slope))
+
+    def flux(self, u: Float, slope: Float) -> Float:
+        """What stands before ∇q in the second of Eq. (1), linear (m, 2), from ∫φ_v u too."""
+        return self._field(self.E[:, None] * self._mean(u) - self.S[:, None] * self._mean(slope))
+
+    def _mean(self, moments: Float) -> Float:
+        return self.spread.means(moments / self.hats[:, None])
+
+    def _field(self, values: Float) -> Float:
+        return self.spread.sums(values) / self.hats[:, None]
+
+
+@njit(cache=True)
+def moments(corner: Int, rows: Int, area: Float, u: Float, H: Float, m: int) -> Float:
+    """∫φ_v u (m, 2), H of `element.hats`."""
+    found = np.zeros((m, 2))
+    for e in range(len(corner)):
+        for c in range(3):
+            x = y = 0.0
+            for i in range(len(H)):
+                x += H[i, c] * u[rows[e, i], 0]
+                y += H[i, c] * u[rows[e, i], 1]
+            found[corner[e, c], 0] += area[e] * x
+            found[corner[e, c], 1] += area[e] * y
+    return found
+
+
+@njit(cache=True)
+def loads(corner: Int, rows: Int, area: Float, f: Float, H: Float, size: int) -> Float:
+    """∫f·v (size, 2) of a linear field (m, 2), the adjoint of `moments`."""
+    found = np.zeros((size, 2))
+    for e in range(len(corner)):
+        for i in range(len(H)):
+            x = y = 0.0
+            for c in range(3):
+                x += H[i, c] * f[corner[e, c], 0]
+                y += H[i, c] * f[corner[e, c], 1]
+            found[rows[e, i], 0] += area[e] * x
+            found[rows[e, i], 1] += area[e] * y
+    return found
+
+
+@njit(cache=True)
+def slopes(
+    corner: Int, rows: Int, gradient: Float, area: Float, p: Float, D: Float, m: int
+) -> Float:
+    """∫φ_v ∇p (m, 2), D of `element.tilts`."""
+    found = np.zeros((m, 2))
+    for e in range(len(corner)):
+        for c in range(3):
+            a = b = 0.0
+            for i in range(len(D)):
+                a += D[i, c, 0] * p[rows[e, i]]
+                b += D[i, c, 1] * p[rows[e, i]]
+            for k in range(2):
+                found[corner[e, c], k] += area[e] * (a * gradient[e, 0, k] + b * gradient[e, 1, k])
+    return found
+
+
+@njit(cache=True)
+def spilled(
+    corner: Int, rows: Int, gradient: Float, area: Float, g: Float, D: Float, size: int
+) -> Float:
+    """∫g·∇q (size,) of a linear field (m, 2), the adjoint of `slopes`."""
+    found = np.zeros(size)
+    for e in range(len(corner)):
+        for i in range(len(D)):
+            value = 0.0
+            for c in range(3):
+                v = corner[e, c]
+                a = g[v, 0] * gradient[e, 0, 0] + g[v, 1] * gradient[e, 0, 1]
+                b = g[v, 0] * gradient[e, 1, 0] + g[v, 1] * gradient[e, 1, 1]
+                value += D[i, c, 0] * a + D[i, c, 1] * b
+            found[rows[e, i]] += area[e] * value
+    return found
+
+
+__all__ = ["Averaged", "loads", "moments", "slopes", "spilled"]
