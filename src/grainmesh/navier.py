@@ -308,12 +308,20 @@ class Operator:
 
     def apply(self, x: Float) -> Float:
         """Left sides of (1) and (2) for unknowns (N,), those inside of triangles eliminated."""
-        found: Float
         slope = self._slopes(x)
-        on = self.topology.corners, self.area, self.averaged.force(slope), self._hats[0]
-        between = self.pressure_keys.rows.shape[1]
-        found, u = averaged.product(self.K, self.rows, x, self.outer, *on, self.order, between)
+        found, u = self._product(x, self.averaged.force(slope))
         found[self.split :] += self._spilled(self.averaged.flux(u, slope))
+        return found
+
+    def stored(self, x: Float) -> Float:
+        """The same without averages: what a factor is of."""
+        return self._product(x, np.zeros_like(self.f))[0]
+
+    def _product(self, x: Float, f: Float) -> tuple[Float, Float]:
+        """K x with ∫f·v besides (N,), f linear (m, 2), and ∫φ_v u of it (m, 2)."""
+        on, between = (self.topology.corners, self.area), self.pressure_keys.rows.shape[1]
+        about = *on, f, self._hats[0], self.order, between
+        found: tuple[Float, Float] = averaged.product(self.K, self.rows, x, self.outer, *about)
         return found
 
     def condensed(self, f: Float) -> Float:

@@ -166,7 +166,7 @@ class Solver:
         inside &= sought
         number = np.arange(len(inside))
         patch = op.factor(number, inside).preconditioner(np.where(inside, number, -1))
-        return mended(first, op.apply, patch), float(inside.sum() / sought.sum())
+        return mended(first, op.stored, patch), float(inside.sum() / sought.sum())
 
 
 def _levelled(solve: Apply, level: NDArray[np.int64]) -> Apply:
