@@ -36,7 +36,7 @@ REFERENCES = ("operator", "kernel", "fluid", "gravity", "_edges")
 NUMBERS = ("time", "dt", "stirring_since", "stirring_flips", "added")
 STATE = (
     "velocity", "last", "slid", "force", "around", "curl", "drag", "mobility",
-    "extra", "D", "du", "Q",
+    "extra", "owed", "D", "du", "Q",
 )  # fmt: skip
 #: Triangulations that are kept.
 MESHES = ("mesh", "bed")
@@ -147,8 +147,9 @@ class Fields:
         Of the discs [m/s]; of the fluid on them, without buoyancy [N/m].
     drag : (n,)
         b [N s/m2].
-    Q, D, extra : ndarray
-        Momentum of the fluid, its last change, and what the solver left, `navier` Eq. (4).
+    Q, D, extra, owed : ndarray
+        Momentum of the fluid, its last change, and what the solver left of momentum, `navier`
+        Eq. (4), and of volume [m2].
     solver : Solver
         Linear solver.
     seconds : dict
@@ -198,6 +199,7 @@ class Fields:
         self._set_sides()
         self._load_porosity()
         self.extra, self.D, self.du = (np.zeros_like(self.operator.u) for _ in range(3))
+        self.owed = np.zeros(len(self.operator.p))
         self.Q = self.operator.momentum()
 
     def __repr__(self) -> str:
@@ -449,6 +451,7 @@ class Fields:
         (p,) = over.fields(old.pressure_keys, op.pressure_keys, old.p[:, None])
         op.p = p[:, 0]
         self.extra, self.D = (over.loads(*keys, load) for load in (self.extra, self.D))
+        owed = over.loads(old.pressure_keys, op.pressure_keys, self.owed[:, None])
         changed = np.zeros(len(old_porosity), dtype=bool)
         changed[op.topology.corners[over.fresh]] = True
         changed[old.topology.corners[over.gone]] = True
@@ -463,16 +466,19 @@ class Fields:
             if self.fluid.names(Inflow):
                 volume += op.inflow(self._through)
             op.close(volume, changed)
-        # Each region that changed keeps its momentum.
+        # Each region that changed keeps its momentum, and the volume owed to it.
         at, region = regions(old.topology, op.topology, changed)
         used = op.topology.used[at]
-        lost = np.where(used[:, None], 0.0, self.D[at])  # of nodes that have left
-        self.D[at[~used]] = self.extra[at[~used]] = 0.0
+        gone = at[~used]  # nodes that have left
+        lost, unpaid = (np.where(used[:, None], 0.0, load[at]) for load in (self.D, owed))
+        self.D[gone] = self.extra[gone] = owed[gone] = 0.0
         momentum = op.momentum()
         missing = self.Q[at] - momentum[at] - self.extra[at]
         weight = k.porosity[at] * k.hats[at] * used
         self.extra[at] += _made_up(region, weight, missing)
         self.D[at] += _made_up(region, weight, lost)
+        owed[at] += _made_up(region, weight, unpaid)
+        self.owed = owed[:, 0]
         self.Q = momentum + self.extra
 
     @property

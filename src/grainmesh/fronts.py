@@ -69,8 +69,6 @@ class Fronts:
         Number of the first pressure.
     corners : (t, 3, 2)
         Of the triangles [m].
-    some : (c,) int, optional
-        The triangles that have all that is sought; all of them if not given.
     pivot : float, optional
         Share of the pressures' own stiffness in Eq. (2).
     """
@@ -82,13 +80,10 @@ class Fronts:
         sought: Mask,
         first: int,
         corners: Float,
-        some: Int | None = None,
         pivot: float = PIVOT,
     ) -> None:
-        some = np.arange(len(rows)) if some is None else some
-        depth = max(0, int(np.log2(max(1.0, len(some) * rows.shape[1] / LEAF))))
-        places = corners[some]
-        order = some[halved(places.min(axis=1), places.max(axis=1), depth)]
+        depth = max(0, int(np.log2(max(1.0, rows.size / LEAF))))
+        order = halved(corners.min(axis=1), corners.max(axis=1), depth)
         *self._plan, at, room = _plan(rows, order, depth, sought, first)
         panel, unknown = self._plan[:2]
         self._parts = len(panel) - 1

@@ -26,7 +26,8 @@ w)·∇v, which sums to zero. It is a force u R in C. Convection in the frame of
 takes out what does not depend on relative motion: the same flow seen from a train.
 
 Equation (4) leaves a residual r' of the linear solver. Q' = ∫ρ ε' u'·v + Δt r'/c counts it in the
-next step, so momentum is conserved to round-off at any tolerance.
+next step, so momentum is conserved to round-off at any tolerance; so is the volume that (2) moves,
+whose residual, times Δt, is owed to the next step.
 
 With the averages, L, the matrix is K + L; K alone is stored, and factored. Unknowns β inside of
 triangles are eliminated from both: L joins them to pressures only, so with x the others
@@ -48,6 +49,8 @@ as preconditioner until too much has changed.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -306,14 +309,9 @@ class Operator:
         integrals.completed(inner, rows, np.zeros_like(f), x)
         self.u += x[: self.split].reshape(-1, 2)
 
-    def product(self, x: Float) -> Float:
-        """K x for unknowns (N,), those inside of triangles eliminated, without the averages."""
-        found: Float = integrals.product(self.K, self.rows, x)
-        return found
-
     def apply(self, x: Float) -> Float:
         """Left sides of (1) and (2) for unknowns (N,), those inside of triangles eliminated."""
-        found = self.product(x)
+        found: Float = integrals.product(self.K, self.rows, x)
         if self.averaged is not None:
             slope = self._slopes(x)
             load = self._condensed(self._loads(self.averaged.force(slope)))
@@ -384,18 +382,30 @@ class Operator:
         return self.free & ~self.within
 
     def factor(self, inside: Mask | None = None) -> Fronts:
-        """A factor of the matrix for the unknowns sought, or those `inside`.
+        """A factor of K for the unknowns sought, or those `inside`.
 
         Where nothing gives the pressure a level, the first one is taken as 0.
         """
-        rows, some, sought = self.rows[:, : self.outer], None, self.sought
+        K, rows, corners, sought = self.K, self.rows, self.corners, self.sought
         if inside is not None:
-            some, sought = np.flatnonzero(inside[rows].any(axis=1)), inside
+            some, sought = self._around(inside), inside
+            K, rows, corners = K[some], rows[some], corners[some]
         pressure = self.split + np.flatnonzero(self.free[self.split :])
         if self.floating and sought[pressure].all():
             sought = sought.copy()
             sought[pressure[0]] = False
-        return Fronts(self.K, rows, sought, self.split, self.corners, some)
+        return Fronts(K, rows[:, : self.outer], sought, self.split, corners)
+
+    def product(self, inside: Mask) -> Callable[[Float], Float]:
+        """What gives K x (N,), right only in the rows of unknowns `inside`."""
+        some = self._around(inside)
+        K, rows = self.K[some], self.rows[some]
+        return lambda x: integrals.product(K, rows, x)
+
+    def _around(self, inside: Mask) -> Mask:
+        """Triangles that have some of these unknowns, not eliminated (t,)."""
+        found: Mask = np.any(inside[self.rows[:, : self.outer]], axis=1)
+        return found
 
     @property
     def names(self) -> Int:

@@ -165,8 +165,8 @@ class Solver:
         inside = np.zeros_like(sought)
         inside[op.rows[near[on.corners].any(axis=1)]] = True  # and one ring around them
         inside &= sought
-        patch = op.factor(inside).solve
-        return mended(first, op.product, patch), float(inside.sum() / sought.sum())
+        patch = mended(first, op.product(inside), op.factor(inside).solve)
+        return patch, float(inside.sum() / sought.sum())
 
 
 def _levelled(solve: Apply, level: NDArray[np.int64]) -> Apply:
