@@ -131,7 +131,7 @@ def flux(flow):
 @pytest.mark.parametrize("make", [soup, closed])
 def test_volume_of_the_mixture(make, order, monkeypatch):
     """∇·(ε u + sum V ψ u_i) = 0 against all pressures, to the tolerance of the solver."""
-    run, found = make(order=order, dt=5e-4), []
+    run, found = make(order=order, dt=5e-4, tolerance=1e-6), []
     flow, mend = run.flow, Bounded.mend
 
     def looking(mesh):  # before the fields are carried to another triangulation

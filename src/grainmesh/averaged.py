@@ -41,19 +41,71 @@ class Averaged:
     E: Float
     S: Float
 
+    def mean(self, moments: Float) -> Float:
+        """<f>_i (n, 2) from ∫φ_v f (m, 2)."""
+        return self.spread.means(moments / self.hats[:, None])
+
     def force(self, slope: Float) -> Float:
-        """Density, linear (m, 2), of the first of Eq. (1), from ∫φ_v ∇p (m, 2)."""
-        return self._field(self.E[:, None] * self._mean(slope))
+        """Density, linear (m, 2), of the first of Eq. (1), from <∇p>_i (n, 2)."""
+        return self._field(self.E[:, None] * slope)
 
     def flux(self, u: Float, slope: Float) -> Float:
-        """What stands before ∇q in the second of Eq. (1), linear (m, 2), from ∫φ_v u too."""
-        return self._field(self.E[:, None] * self._mean(u) - self.S[:, None] * self._mean(slope))
-
-    def _mean(self, moments: Float) -> Float:
-        return self.spread.means(moments / self.hats[:, None])
+        """What stands before ∇q in the second of Eq. (1), linear (m, 2), from <u>_i too."""
+        return self._field(self.E[:, None] * u - self.S[:, None] * slope)
 
     def _field(self, values: Float) -> Float:
         return self.spread.sums(values) / self.hats[:, None]
+
+
+@njit(cache=True, fastmath={"contract", "reassoc"})
+def product(
+    K: Float, inner: Float, rows: Int, x: Float,
+    corner: Int, area: Float, f: Float, H: Float, order: int,
+) -> tuple[Float, Float]:  # fmt: skip
+    """K x with ∫f·v in rows of u, and ∫φ_v u (m, 2), unknowns inside of triangles eliminated.
+
+    K and `inner` are of `integrals.matrices`, H of `element.hats`. Unknowns inside are those that
+    their rows give then: f is condensed, too.
+    """
+    y, found = np.zeros_like(x), np.zeros_like(f)
+    outer, more, count = K.shape[1], inner.shape[1], len(H)
+    place = np.empty(count, np.int64)
+    for i in range(count):
+        place[i] = 2 * i if i < 3 * order else 2 * i + outer + more - 2 * count
+    local, load = np.empty(outer + more), np.zeros(outer + more)
+    for e in range(len(K)):
+        for i in range(outer):
+            local[i], load[i] = x[rows[e, i]], 0.0
+        for k in range(2):
+            f0, f1, f2 = (
+                area[e] * f[corner[e, 0], k],
+                area[e] * f[corner[e, 1], k],
+                area[e] * f[corner[e, 2], k],
+            )
+            for i in range(count):
+                load[place[i] + k] = H[i, 0] * f0 + H[i, 1] * f1 + H[i, 2] * f2
+        for k in range(more - 1, -1, -1):
+            share = load[outer + k] / inner[e, k, outer + k]
+            for i in range(outer + k):
+                load[i] -= share * inner[e, k, i]
+        for i in range(outer):
+            value = load[i]
+            for j in range(outer):
+                value += K[e, i, j] * local[j]
+            y[rows[e, i]] += value
+        for k in range(more):
+            value = load[outer + k]
+            for i in range(outer + k):
+                value += inner[e, k, i] * local[i]
+            local[outer + k] = -value / inner[e, k, outer + k]
+        for c in range(3):
+            u = v = 0.0
+            for i in range(count):
+                u += H[i, c] * local[place[i]]
+                v += H[i, c] * local[place[i] + 1]
+            found[corner[e, c], 0] += area[e] * u
+            found[corner[e, c], 1] += area[e] * v
+    return y, found
 
 
 @njit(cache=True)
@@ -121,4 +173,4 @@ def spilled(
     return found
 
 
-__all__ = ["Averaged", "loads", "moments", "slopes", "spilled"]
+__all__ = ["Averaged", "loads", "moments", "product", "slopes", "spilled"]

@@ -311,40 +311,38 @@ class Operator:
 
     def apply(self, x: Float) -> Float:
         """Left sides of (1) and (2) for unknowns (N,), those inside of triangles eliminated."""
-        found: Float = integrals.product(self.K, self.rows, x)
-        if self.averaged is not None:
-            slope = self._slopes(x)
-            load = self._condensed(self._loads(self.averaged.force(slope)))
-            found[self.split :] += self._spilled(self.averaged.flux(self._means(-load, x), slope))
-            found += load
+        found: Float
+        if (discs := self.averaged) is None:
+            found = integrals.product(self.K, self.rows, x)
+            return found
+        slope = discs.mean(self._slopes(x))
+        on = self.topology.corners, self.area, discs.force(slope), hats(self.keys.element)
+        found, u = averaged.product(self.K, self.inner, self.rows, x, *on, self.order)
+        found[self.split :] += self._spilled(discs.flux(discs.mean(u), slope))
         return found
 
     def condensed(self, f: Float) -> Float:
         """Right sides (N,) for `apply`."""
-        found = self._condensed(f)
-        if self.averaged is not None and self.outer < self.rows.shape[1]:
-            u = self._means(found, np.zeros_like(f))
-            found[self.split :] -= self._spilled(self.averaged.flux(u, np.zeros_like(u)))
+        found, discs = self._condensed(f), self.averaged
+        if discs is not None and self.outer < self.rows.shape[1]:
+            x = np.zeros_like(f)
+            integrals.completed(self.inner, self.rows, found, x)
+            on, u = self._on_u, x[: self.split].reshape(-1, 2)
+            u = discs.mean(averaged.moments(*on, u, hats(self.keys.element), len(self.eps)))
+            found[self.split :] -= self._spilled(discs.flux(u, np.zeros_like(u)))
         return found
 
     def completed(self, f: Float, x: Float) -> None:
         """Put the unknowns inside of triangles into x; f is of `condensed`."""
-        if self.averaged is not None:
-            f = f - self._condensed(self._loads(self.averaged.force(self._slopes(x))))
+        discs = self.averaged
+        if discs is not None and self.outer < self.rows.shape[1]:
+            force = discs.force(discs.mean(self._slopes(x)))
+            f = f - self._condensed(self._loads(force))
         integrals.completed(self.inner, self.rows, f, x)
 
     def _condensed(self, f: Float) -> Float:
         """Of K alone."""
         found: Float = integrals.condensed(self.inner, self.rows, f)
-        return found
-
-    def _means(self, f: Float, x: Float) -> Float:
-        """∫φ_v u (m, 2) with the unknowns inside of triangles that f gives."""
-        if self.outer < self.rows.shape[1]:
-            x = x.copy()
-            integrals.completed(self.inner, self.rows, f, x)
-        u, one = x[: self.split].reshape(-1, 2), self.keys.element
-        found: Float = averaged.moments(*self._on_u, u, hats(one), len(self.eps))
         return found
 
     def _slopes(self, x: Float) -> Float:

@@ -24,6 +24,10 @@ Arrays = dict[str, NDArray[Any]]
 MOST, FACTOR = 60, 12.0
 #: Change of the gradients on a triangle that makes it another one.
 CHANGE = 0.2
+#: Share of the right-hand side that a residual is compared with at least.
+SMALL = 1e-4
+#: What can be reached, over the right-hand side.
+ROUND_OFF = 1e-15
 #: What a checkpoint holds besides the factor.
 NUMBERS = ("iterations", "factors", "spent", "since")
 FIELDS = ("free", "eps", "inertia", "E", "S", "stirred")
@@ -88,7 +92,7 @@ class Solver:
         unit : float
             In which pressures are counted, so that both kinds of equations weigh alike.
         tolerance : float
-            Residual over right-hand side.
+            Residual over that of the unknowns at hand, or over `SMALL` of the right-hand side.
 
         Where nothing gives the pressure a level, its mean is made 0.
 
@@ -109,10 +113,10 @@ class Solver:
         )
         f, x = op.condensed(f), op.x
         r = scale * (f - op.apply(x))
-        size = max(norm(scale * f), norm(r))
-        if not np.isfinite(size):
+        size, wrong = norm(scale * f), norm(r)
+        if not np.isfinite(size + wrong):
             raise RunError("the flow is not finite: forces have blown up, or steps are too long")
-        goal = max(tolerance * size, 1e-300)
+        goal = max(tolerance * max(wrong, SMALL * size), ROUND_OFF * size, 1e-300)
         for attempt in range(2):
             fresh = self._factor is None or attempt == 1
             if fresh:
@@ -124,8 +128,9 @@ class Solver:
                 break
         else:
             raise RunError(
-                f"the linear solver does not converge: residual {left / size:.1e} after {MOST} "
-                "iterations, with a step of the flow that is perhaps too long (Fluid(dt=...))"
+                f"the linear solver does not converge: residual {left / max(size, wrong):.1e} "
+                f"after {MOST} iterations, with a step of the flow that is perhaps too long "
+                "(Fluid(dt=...))"
             )
         effort = self.iterations + FACTOR * share
         if fresh:
