@@ -219,6 +219,21 @@ def product(K: Float, rows: Int, x: Float) -> Float:
     return y
 
 
+@njit(cache=True)
+def diagonal(K: Float, rows: Int, first: int, size: int) -> Float:
+    """That of A, and for pressures, from `first` on, of -S - B A⁻¹ Bᵀ, triangle by triangle."""
+    found, outer = np.zeros(size), K.shape[1]
+    for e in range(len(K)):
+        for i in range(outer):
+            value = K[e, i, i]
+            if rows[e, i] >= first:
+                for j in range(outer):
+                    if rows[e, j] < first:
+                        value -= K[e, i, j] ** 2 / K[e, j, j]
+            found[rows[e, i]] += value
+    return found
+
+
 @njit(cache=True, fastmath={"contract"})
 def spread(corner: Int, rows: Int, area: Float, f: Float, H: Float, size: int) -> Float:
     """∫f φ_i (size,) of a field f (m,), by `hats`."""
@@ -414,6 +429,6 @@ def at_sides(
 
 
 __all__ = [
-    "at_sides", "averages", "completed", "condensed", "convected", "crossing",
+    "at_sides", "averages", "completed", "condensed", "convected", "crossing", "diagonal",
     "gradients", "matrices", "passing", "product", "roughness", "spread", "weighted",
 ]  # fmt: skip

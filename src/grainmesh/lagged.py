@@ -1,15 +1,11 @@
-r"""A factor kept from step to step as preconditioner of GMRES, while matrix and mesh change.
+"""A factor kept from step to step as preconditioner of GMRES, while matrix and mesh change.
 
     [ A   Bᵀ ] [u]   [f]
     [ B  -S  ] [p] = [g]
 
 An indefinite factor cannot precondition MINRES; GMRES takes it. Unknowns are known by name
-(`grainmesh.carry`). On triangles that have come since the factor was made (`grainmesh.fronts`) a
-second, small system is solved for what the factor leaves,
-
-    z = P r,    z += Rᵀ (R K Rᵀ)⁻¹ R (r - K z),                                               (1)
-
-with R the restriction to their unknowns. Without it each flip costs iterations of its own.
+(`grainmesh.carry`); those that have come since the factor was made (`grainmesh.fronts`), on edges
+that have flipped, are divided by a diagonal.
 """
 
 from __future__ import annotations
@@ -47,31 +43,22 @@ class Lagged:
         self._factor, self._size = factor, len(sought)
         self._place, self._names = kept[order], names[kept][order]
 
-    def preconditioner(self, sought: Mask, names: Int) -> Apply:
-        """P of Eq. (1) for unknowns of these names; 0 for those that it does not have."""
+    def preconditioner(self, sought: Mask, names: Int, diagonal: Float) -> Apply:
+        """About K⁻¹ for the unknowns sought, of these names, with this diagonal (N,)."""
         known = np.flatnonzero(sought)
         place = np.searchsorted(self._names, names[known]).clip(max=len(self._names) - 1)
         there = self._names[place] == names[known]
-        known, place = known[there], self._place[place[there]]
+        new, known, place = known[~there], known[there], self._place[place[there]]
+        share = 1.0 / diagonal[new]
 
         def apply(r: Float) -> Float:
             f, z = np.zeros(self._size), np.zeros_like(r)
             f[place] = r[known]
             z[known] = self._factor.solve(f)[place]
+            z[new] = share * r[new]
             return z
 
         return apply
-
-
-def mended(first: Apply, apply: Apply, patch: Apply) -> Apply:
-    """Eq. (1), from P, K and Rᵀ (R K Rᵀ)⁻¹ R."""
-
-    def both(r: Float) -> Float:
-        z = first(r)
-        z += patch(r - apply(z))
-        return z
-
-    return both
 
 
 def gmres(
@@ -153,4 +140,4 @@ def _orthogonalise(basis: Float, w: Float) -> Float:
     return found
 
 
-__all__ = ["Apply", "Lagged", "gmres", "mended", "norm"]
+__all__ = ["Apply", "Lagged", "gmres", "norm"]

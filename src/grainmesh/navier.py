@@ -50,8 +50,6 @@ as preconditioner until too much has changed.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -386,7 +384,7 @@ class Operator:
         """
         K, rows, corners, sought = self.K, self.rows, self.corners, self.sought
         if inside is not None:
-            some, sought = self._around(inside), inside
+            some, sought = np.any(inside[rows[:, : self.outer]], axis=1), inside
             K, rows, corners = K[some], rows[some], corners[some]
         pressure = self.split + np.flatnonzero(self.free[self.split :])
         if self.floating and sought[pressure].all():
@@ -394,15 +392,10 @@ class Operator:
             sought[pressure[0]] = False
         return Fronts(K, rows[:, : self.outer], sought, self.split, corners)
 
-    def product(self, inside: Mask) -> Callable[[Float], Float]:
-        """What gives K x (N,), right only in the rows of unknowns `inside`."""
-        some = self._around(inside)
-        K, rows = self.K[some], self.rows[some]
-        return lambda x: integrals.product(K, rows, x)
-
-    def _around(self, inside: Mask) -> Mask:
-        """Triangles that have some of these unknowns, not eliminated (t,)."""
-        found: Mask = np.any(inside[self.rows[:, : self.outer]], axis=1)
+    @property
+    def diagonal(self) -> Float:
+        """Of K, and for pressures about that of -S - B A⁻¹ Bᵀ (N,)."""
+        found: Float = integrals.diagonal(self.K, self.rows, self.split, len(self.free))
         return found
 
     @property

@@ -1,8 +1,7 @@
 """The linear solver of the flow: GMRES with a factor that is kept while it pays.
 
-A factor costs as much as `FACTOR` iterations. It is made anew as soon as a step with the old one,
-mended where the mesh has changed (`lagged`, Eq. 1), costs more than steps with it did on average,
-its own cost among them.
+A factor costs as much as `FACTOR` iterations. It is made anew as soon as a step with the old one
+costs more than steps with it did on average, its own cost among them.
 """
 
 from __future__ import annotations
@@ -14,16 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from grainmesh.errors import RunError
-from grainmesh.lagged import Apply, Lagged, gmres, mended, norm
+from grainmesh.lagged import Apply, Lagged, gmres, norm
 from grainmesh.navier import Operator
 
 Float = NDArray[np.float64]
 Arrays = dict[str, NDArray[Any]]
 
 #: Iterations at most, and how many of them a new factor costs.
-MOST, FACTOR = 60, 12.0
-#: Change of the gradients on a triangle that makes it another one.
-CHANGE = 0.2
+MOST, FACTOR = 60, 8.0
 #: Share of the right-hand side that a residual is compared with at least.
 SMALL = 1e-4
 #: What can be reached, over the right-hand side.
@@ -121,7 +118,8 @@ class Solver:
             fresh = self._factor is None or attempt == 1
             if fresh:
                 self._make(op, points)
-            first, share = self._preconditioner(op)
+            assert self._factor is not None
+            first = self._factor.preconditioner(sought, op.names, op.diagonal)
             apply, precondition = _scaled(op.apply, _levelled(first, level), scale)
             delta, self.iterations, left = gmres(apply, precondition, r, goal, MOST)
             if left <= goal:
@@ -132,11 +130,10 @@ class Solver:
                 f"after {MOST} iterations, with a step of the flow that is perhaps too long "
                 "(Fluid(dt=...))"
             )
-        effort = self.iterations + FACTOR * share
         if fresh:
             self.spent, self.since = FACTOR, 0
-        self.spent, self.since = self.spent + effort, self.since + 1
-        if effort * self.since > self.spent:
+        self.spent, self.since = self.spent + self.iterations, self.since + 1
+        if self.iterations * self.since > self.spent:
             self.forget()
         x = _levelled(lambda x: x, level)(x + scale * delta)
         op.completed(f, x)
@@ -148,30 +145,9 @@ class Solver:
     def _make(self, op: Operator, points: Float) -> None:
         on = op.topology
         self._factor = Lagged(op.factor(), op.sought, op.names)
-        self._triangles, self._gradient = on.numbers, op.gradient.copy()
         self.factors += 1
         self.recipe = {"triangles": on.triangles, "shifts": on.shifts, "points": points.copy()}
         self.recipe |= {key: getattr(op, key).copy() for key in FIELDS}
-
-    def _preconditioner(self, op: Operator) -> tuple[Apply, float]:
-        """The factor at hand, mended on triangles that are new or look new; their share of all."""
-        on, sought = op.topology, op.sought
-        assert self._factor is not None
-        first = self._factor.preconditioner(sought, op.names)
-        t = min(len(on.numbers), len(self._triangles))
-        change = np.abs(op.gradient[:t] - self._gradient[:t]).max(axis=(1, 2))
-        fresh = np.ones(len(on.numbers), dtype=bool)
-        fresh[:t] = change > CHANGE * np.abs(self._gradient[:t]).max(axis=(1, 2))
-        fresh[:t] |= on.numbers[:t] != self._triangles[:t]
-        if not fresh.any():
-            return first, 0.0
-        near = np.zeros(on.count, dtype=bool)
-        near[on.corners[fresh]] = True
-        inside = np.zeros_like(sought)
-        inside[op.rows[near[on.corners].any(axis=1)]] = True  # and one ring around them
-        inside &= sought
-        patch = mended(first, op.product(inside), op.factor(inside).solve)
-        return patch, float(inside.sum() / sought.sum())
 
 
 def _levelled(solve: Apply, level: NDArray[np.int64]) -> Apply:
