@@ -17,6 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from grainmesh.integrals import BLOCK
 from grainmesh.spread import Spread
 
 Float = NDArray[np.float64]
@@ -57,55 +58,67 @@ class Averaged:
         return self.spread.sums(values) / self.hats[:, None]
 
 
-@njit(cache=True, fastmath={"contract", "reassoc"})
-def product(
-    K: Float, inner: Float, rows: Int, x: Float,
+@njit(cache=True, fastmath={"contract"})
+def within(
+    inner: Float, rows: Int, outer: int, x: Float, y: Float,
     corner: Int, area: Float, f: Float, H: Float, order: int,
-) -> tuple[Float, Float]:  # fmt: skip
-    """K x with ∫f·v in rows of u, and ∫φ_v u (m, 2), unknowns inside of triangles eliminated.
+) -> Float:  # fmt: skip
+    """Add ∫f·v to rows y of u, and find ∫φ_v u (m, 2), unknowns inside of triangles eliminated.
 
-    K and `inner` are of `integrals.matrices`, H of `element.hats`. Unknowns inside are those that
-    their rows give then: f is condensed, too.
+    `inner` is of `integrals.matrices`, which has left `outer` unknowns, H of `element.hats`.
+    Unknowns inside are those that their rows give then: f is condensed, too.
     """
-    y, found = np.zeros_like(x), np.zeros_like(f)
-    outer, more, count = K.shape[1], inner.shape[1], len(H)
-    place = np.empty(count, np.int64)
-    for i in range(count):
-        place[i] = 2 * i if i < 3 * order else 2 * i + outer + more - 2 * count
-    local, load = np.empty(outer + more), np.zeros(outer + more)
-    for e in range(len(K)):
-        for i in range(outer):
-            local[i], load[i] = x[rows[e, i]], 0.0
-        for k in range(2):
-            f0, f1, f2 = (
-                area[e] * f[corner[e, 0], k],
-                area[e] * f[corner[e, 1], k],
-                area[e] * f[corner[e, 2], k],
-            )
-            for i in range(count):
-                load[place[i] + k] = H[i, 0] * f0 + H[i, 1] * f1 + H[i, 2] * f2
+    found, more, count = np.zeros_like(f), inner.shape[1], len(H)
+    n = outer + more
+    X, L, B = np.zeros((n, BLOCK)), np.zeros((n, BLOCK)), np.ones((more, n, BLOCK))
+    F, M, share = np.zeros((3, 2, BLOCK)), np.zeros((3, 2, BLOCK)), np.zeros(BLOCK)
+    for first in range(0, len(corner), BLOCK):
+        size = min(BLOCK, len(corner) - first)
+        for b in range(size):
+            e = first + b
+            for c in range(3):
+                for k in range(2):
+                    F[c, k, b] = area[e] * f[corner[e, c], k]
+            for i in range(outer):
+                X[i, b] = x[rows[e, i]]
+            for k in range(more):
+                for i in range(outer + k + 1):
+                    B[k, i, b] = inner[e, k, i]
+        L[:outer] = 0.0
+        for i in range(count):
+            at, (h0, h1, h2) = 2 * i if i < 3 * order else 2 * i + n - 2 * count, H[i]
+            for k in range(2):
+                for b in range(BLOCK):
+                    L[at + k, b] = h0 * F[0, k, b] + h1 * F[1, k, b] + h2 * F[2, k, b]
         for k in range(more - 1, -1, -1):
-            share = load[outer + k] / inner[e, k, outer + k]
+            for b in range(BLOCK):
+                share[b] = L[outer + k, b] / B[k, outer + k, b]
             for i in range(outer + k):
-                load[i] -= share * inner[e, k, i]
-        for i in range(outer):
-            value = load[i]
-            for j in range(outer):
-                value += K[e, i, j] * local[j]
-            y[rows[e, i]] += value
+                for b in range(BLOCK):
+                    L[i, b] -= share[b] * B[k, i, b]
         for k in range(more):
-            value = load[outer + k]
+            for b in range(BLOCK):
+                share[b] = L[outer + k, b]
             for i in range(outer + k):
-                value += inner[e, k, i] * local[i]
-            local[outer + k] = -value / inner[e, k, outer + k]
-        for c in range(3):
-            u = v = 0.0
-            for i in range(count):
-                u += H[i, c] * local[place[i]]
-                v += H[i, c] * local[place[i] + 1]
-            found[corner[e, c], 0] += area[e] * u
-            found[corner[e, c], 1] += area[e] * v
-    return y, found
+                for b in range(BLOCK):
+                    share[b] += B[k, i, b] * X[i, b]
+            for b in range(BLOCK):
+                X[outer + k, b] = -share[b] / B[k, outer + k, b]
+        M[:] = 0.0
+        for i in range(count):
+            at = 2 * i if i < 3 * order else 2 * i + n - 2 * count
+            for c in range(3):
+                for k in range(2):
+                    for b in range(BLOCK):
+                        M[c, k, b] += H[i, c] * X[at + k, b]
+        for b in range(size):
+            e = first + b
+            for i in range(outer):
+                y[rows[e, i]] += L[i, b]
+            for c in range(3):
+                for k in range(2):
+                    found[corner[e, c], k] += area[e] * M[c, k, b]
+    return found
 
 
 @njit(cache=True)
@@ -173,4 +186,4 @@ def spilled(
     return found
 
 
-__all__ = ["Averaged", "loads", "moments", "product", "slopes", "spilled"]
+__all__ = ["Averaged", "loads", "moments", "slopes", "spilled", "within"]

@@ -309,14 +309,12 @@ class Operator:
 
     def apply(self, x: Float) -> Float:
         """Left sides of (1) and (2) for unknowns (N,), those inside of triangles eliminated."""
-        found: Float
-        if (discs := self.averaged) is None:
-            found = integrals.product(self.K, self.rows, x)
-            return found
-        slope = discs.mean(self._slopes(x))
-        on = self.topology.corners, self.area, discs.force(slope), hats(self.keys.element)
-        found, u = averaged.product(self.K, self.inner, self.rows, x, *on, self.order)
-        found[self.split :] += self._spilled(discs.flux(discs.mean(u), slope))
+        found: Float = integrals.product(self.K, self.rows, x)
+        if (discs := self.averaged) is not None:
+            slope = discs.mean(self._slopes(x))
+            on = self.topology.corners, self.area, discs.force(slope), hats(self.keys.element)
+            u = averaged.within(self.inner, self.rows, self.outer, x, found, *on, self.order)
+            found[self.split :] += self._spilled(discs.flux(discs.mean(u), slope))
         return found
 
     def condensed(self, f: Float) -> Float:
