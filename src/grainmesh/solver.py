@@ -121,7 +121,8 @@ class Solver:
             assert self._factor is not None
             first = self._factor.preconditioner(sought, op.names, op.diagonal)
             apply, precondition = _scaled(op.apply, _levelled(first, level), scale)
-            delta, self.iterations, left = gmres(apply, precondition, r, goal, MOST)
+            delta, self.iterations, rest = gmres(apply, precondition, r, goal, MOST)
+            left = norm(rest)
             if left <= goal:
                 break
         else:
@@ -138,8 +139,7 @@ class Solver:
         x = _levelled(lambda x: x, level)(x + scale * delta)
         op.completed(f, x)
         op.x = x
-        residual = f - op.apply(x)
-        residual[~sought] = 0.0
+        residual: Float = np.divide(rest, scale, out=np.zeros_like(rest), where=scale > 0.0)
         return residual
 
     def _make(self, op: Operator, points: Float) -> None:
