@@ -58,7 +58,7 @@ class Averaged:
         return self.spread.sums(values) / self.hats[:, None]
 
 
-@njit(cache=True, fastmath={"contract"})
+@njit(cache=True, nogil=True, fastmath={"contract"})
 def within(
     inner: Float, rows: Int, outer: int, x: Float, y: Float,
     corner: Int, area: Float, f: Float, H: Float, order: int,

@@ -83,7 +83,9 @@ class Fronts:
         pivot: float = PIVOT,
     ) -> None:
         depth = max(0, int(np.log2(max(1.0, rows.size / LEAF))))
-        order = halved(corners.min(axis=1), corners.max(axis=1), depth)
+        a, b, c = corners.swapaxes(0, 1)
+        low, high = (pick(pick(a, b), c) for pick in (np.minimum, np.maximum))
+        order = halved(low, high, depth)
         *self._plan, at, room = _plan(rows, order, depth, sought, first)
         panel, unknown = self._plan[:2]
         self._parts = len(panel) - 1
@@ -124,13 +126,17 @@ class Fronts:
     def _halves(self, call: Callable[..., None], one: Any, other: Any) -> None:
         """Do the parts of both halves of the mesh, at once if they are large."""
         half, whole = self._parts // 2, self._parts - 1
-        if len(self._pivots) < MANY:
-            call(0, half, *one)
-            call(half, whole, *other)
-            return
-        second = _second(os.getpid()).submit(call, half, whole, *other)
-        call(0, half, *one)
-        second.result()
+        both(call, (0, half, *one), (half, whole, *other), len(self._pivots) > MANY)
+
+
+def both(
+    call: Callable[..., Any], one: tuple[Any, ...], other: tuple[Any, ...], threads: bool
+) -> tuple[Any, Any]:
+    """The results of two calls, made at once by two threads or one after the other."""
+    if not threads:
+        return call(*one), call(*other)
+    second = _second(os.getpid()).submit(call, *other)
+    return call(*one), second.result()
 
 
 @lru_cache(1)
@@ -456,4 +462,4 @@ def _backward(  # type: ignore[no-untyped-def]
         own[:] = w[:mine]
 
 
-__all__ = ["Fronts"]
+__all__ = ["Fronts", "both"]

@@ -203,7 +203,7 @@ def completed(inner: Float, rows: Int, f: Float, x: Float) -> None:
             x[rows[e, at]] = local[at]
 
 
-@njit(cache=True, fastmath={"contract", "reassoc"})
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
 def product(K: Float, rows: Int, x: Float) -> Float:
     """K x of the first unknowns of each triangle, as many as K has."""
     outer = K.shape[1]

@@ -66,7 +66,7 @@ from grainmesh.element import (
     slopes,
     tilts,
 )
-from grainmesh.fronts import Fronts
+from grainmesh.fronts import Fronts, both
 from grainmesh.lagged import gmres, norm
 
 Float = NDArray[np.float64]
@@ -75,6 +75,8 @@ Mask = NDArray[np.bool_]
 
 #: Residual of the flow by single forces.
 MOBILITY_TOLERANCE, MOST = 1e-9, 40
+#: Triangles in half of a mesh from which on both halves are done at once.
+MANY = 4000
 #: Pivot of `fronts`, Eq. (2), where each patch of triangles has pressures without a level.
 CLOSED = 1e-5
 
@@ -284,11 +286,12 @@ class Operator:
             What ∫ε u·∇q is to be.
         around : (m,) bool
         """
-        corner, n, left = self.topology.corners, self.rows.shape[1], self.outer
-        patch: Mask = np.any(around[corner], axis=1)
+        corner, n, left = self.topology.corners.T, self.rows.shape[1], self.outer
+        patch: Mask = around[corner[0]] | around[corner[1]] | around[corner[2]]
         near = np.zeros(len(around), bool)
-        near[corner[patch]] = True
-        wide: Mask = np.any(near[corner], axis=1)  # all that the pressures of the patch see
+        near[corner[:, patch]] = True
+        # All that the pressures of the patch see.
+        wide: Mask = near[corner[0]] | near[corner[1]] | near[corner[2]]
         sought, beyond = np.zeros((2, len(self.free)), bool)
         sought[self.rows[patch, :left]] = True
         beyond[self.rows[~patch]] = True
@@ -309,12 +312,27 @@ class Operator:
 
     def apply(self, x: Float) -> Float:
         """Left sides of (1) and (2) for unknowns (N,), those inside of triangles eliminated."""
-        found: Float = integrals.product(self.K, self.rows, x)
-        if (discs := self.averaged) is not None:
+        discs, slope, force = self.averaged, np.empty(0), np.empty(0)
+        if discs is not None:
             slope = discs.mean(self._slopes(x))
-            on = self.topology.corners, self.area, discs.force(slope), hats(self.keys.element)
-            u = averaged.within(self.inner, self.rows, self.outer, x, found, *on, self.order)
-            found[self.split :] += self._spilled(discs.flux(discs.mean(u), slope))
+            force = discs.force(slope)
+
+        def part(some: slice) -> tuple[Float, Float]:
+            y, u = integrals.product(self.K[some], self.rows[some], x), np.empty(0)
+            if discs is not None:
+                u = averaged.within(
+                    self.inner[some], self.rows[some], self.outer, x, y,
+                    self.topology.corners[some], self.area[some], force,
+                    hats(self.keys.element), self.order,
+                )  # fmt: skip
+            return y, u
+
+        half = len(self.K) // 2
+        pair = both(part, (slice(0, half),), (slice(half, None),), half > MANY)
+        found: Float = pair[0][0] + pair[1][0]
+        if discs is not None:
+            u = discs.mean(pair[0][1] + pair[1][1])
+            found[self.split :] += self._spilled(discs.flux(u, slope))
         return found
 
     def condensed(self, f: Float) -> Float:
