@@ -322,8 +322,7 @@ class Flow:
         for _ in range(2):
             if self.factor is None:
                 self.factor = preconditioner(op, sought)
-            delta, _, rest = gmres(lambda z: op.apply(z) * sought, self.factor, r, goal, 30)
-            left = np.linalg.norm(rest)
+            delta, _, left = gmres(lambda z: op.apply(z) * sought, self.factor, r, goal, 30)
             if left <= goal:
                 x += delta
                 op.completed(f, x)

@@ -59,9 +59,7 @@ def test_gmres_solves_and_tells_the_residual(kind, seed, n):
     A += 0.0 if kind != "not symmetric" else 4.0 * np.sqrt(n) * np.eye(n)
     f = rng.normal(size=n)
     tolerance = 1e-9 * np.linalg.norm(f)
-    z, count, rest = gmres(lambda v: A @ v, lambda v: v / 2.0, f, tolerance, n + 1)
-    left = np.linalg.norm(rest)
-    assert np.linalg.norm(f - A @ z - rest) < 1e-13 * np.linalg.norm(f) * np.linalg.cond(A)
+    z, count, left = gmres(lambda v: A @ v, lambda v: v / 2.0, f, tolerance, n + 1)
     assert count <= n + 1
     assert left <= tolerance
     assert np.linalg.norm(f - A @ z) == pytest.approx(left, abs=1e-2 * tolerance)
@@ -73,8 +71,7 @@ def test_gmres_solves_and_tells_the_residual(kind, seed, n):
 def test_gmres_that_stops_early_tells_what_is_left_and_has_the_least(seed, most):
     rng = np.random.default_rng(seed)
     A, f = rng.normal(size=(20, 20)), rng.normal(size=20)
-    z, count, rest = gmres(lambda v: A @ v, lambda v: v, f, 1e-12, most)
-    left = np.linalg.norm(rest)
+    z, count, left = gmres(lambda v: A @ v, lambda v: v, f, 1e-12, most)
     assert count == most
     assert np.linalg.norm(f - A @ z) == pytest.approx(left, rel=1e-9)
     krylov = [f]
@@ -86,10 +83,8 @@ def test_gmres_that_stops_early_tells_what_is_left_and_has_the_least(seed, most)
 
 
 def test_gmres_has_nothing_to_do_below_its_tolerance():
-    f = np.full(4, 1e-3)
-    z, count, rest = gmres(lambda v: v / 0.0, lambda v: v / 0.0, f, 1.0, 5)
-    assert count == 0
-    assert np.array_equal(rest, f)
+    z, count, left = gmres(lambda v: v / 0.0, lambda v: v / 0.0, np.full(4, 1e-3), 1.0, 5)
+    assert (count, left) == (0, 2e-3)
     assert not z.any()
 
 
@@ -124,8 +119,8 @@ def test_old_factor_leads_to_the_solution_of_the_new_matrix(seed, change):
     P, sought = preconditioner(old, np.arange(len(old.free))), new.sought
     r = sought * np.random.default_rng(seed).normal(size=len(sought))
     goal = 1e-10 * np.linalg.norm(r)
-    z, _, rest = gmres(applied(new), P, r, goal, 80)
-    assert np.linalg.norm(rest) <= goal
+    z, _, left = gmres(applied(new), P, r, goal, 80)
+    assert left <= goal
     assert np.linalg.norm(r - applied(new)(z)) <= 1.01 * goal
     exact = np.linalg.solve(dense(new), r[sought])
     assert np.linalg.norm(z[sought] - exact) < 1e-7 * np.linalg.norm(exact)

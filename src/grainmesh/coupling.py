@@ -25,8 +25,8 @@ volume of the mixture, ∇·(ε u + sum_i V_i ψ_i u_i) = 0:
     E_i = b α (Δt/m) V,   S_i = V² α Δt/m                                                      (4)
 
 in `navier`, Eqs. (1) to (3), and `averaged`, Eq. (1). What the fluid loses is, to round-off, what
-the discs get; the volume of the mixture is kept to the tolerance of the linear solver. (In B the
-average of u is taken for u, which differs by what has no mean over a kernel.)
+the discs get; what the linear solver leaves of the volume of the mixture is owed to the next steps.
+(In B the average of u is taken for u, which differs by what has no mean over a kernel.)
 
 While the discs collide, the force is F_i - b_eff (v - u_i): of the last step, less what the
 fluid would resist if it were no more than that of the disc's own cell, of mass m_f = rho ε_i A_i,
@@ -211,7 +211,8 @@ class Coupling(Fields):
         self.added = float(op.stirred.max())
         f = op.source()
         f[: op.split] += ((c * (self.Q + dt * C) + c1 * self.D) / dt).ravel()
-        f[op.split :] += self.owed / dt
+        paid = self.owed * (min(1.0, dt / self.span) if self.span > 0.0 else 1.0)
+        f[op.split :] += paid / dt
         if fluid.names(Inflow):
             f[op.split :] += op.inflow(self._through)
         clock("rest")
@@ -224,9 +225,8 @@ class Coupling(Fields):
         clock("solve")
         self.du = op.u - was
         self.extra = residual[: op.split].reshape(-1, 2) * dt / c
-        self.owed = residual[op.split :] * dt
-        if op.floating:  # what has come into a closed box by round-off cannot be paid
-            self.owed[:m] -= op.topology.used * self.owed[:m].sum() / op.topology.used.sum()
+        self.owed = self.owed - paid + residual[op.split :] * dt
+        self.span = max(self.span - dt, dt)  # volume is paid as slowly as it was left
         Q = op.momentum() + self.extra
         self.D = Q - self.Q - dt * C
         self.Q = Q

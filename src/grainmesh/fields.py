@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Self
 
@@ -24,7 +25,7 @@ Float = NDArray[np.float64]
 Int = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Arrays = dict[str, NDArray[Any]]
-Kept = tuple[Bounded, Bounded, Float, int, dict[str, Any]]
+Kept = tuple[Bounded, Bounded, Float, Solver, dict[str, Any]]
 
 #: Least porosity of a vertex.
 LEAST_POROSITY = 0.02
@@ -33,7 +34,7 @@ MANY = 1e6
 #: What is made anew in a step, not changed.
 REFERENCES = ("operator", "kernel", "fluid", "gravity", "_edges")
 #: What a checkpoint holds besides the mesh and the unknowns.
-NUMBERS = ("time", "dt", "stirring_since", "stirring_flips", "added")
+NUMBERS = ("time", "dt", "span", "stirring_since", "stirring_flips", "added")
 STATE = (
     "velocity", "last", "slid", "force", "around", "curl", "drag", "mobility",
     "extra", "owed", "D", "du", "Q",
@@ -149,7 +150,7 @@ class Fields:
         b [N s/m2].
     Q, D, extra, owed : ndarray
         Momentum of the fluid, its last change, and what the solver left of momentum, `navier`
-        Eq. (4), and of volume [m2].
+        Eq. (4), and of volume [m2], owed over the next `span` [s].
     solver : Solver
         Linear solver.
     seconds : dict
@@ -162,6 +163,7 @@ class Fields:
     kernel: Kernel
     time: float
     dt: float
+    span: float
     stirring_since: float
     stirring_flips: int
     added: float
@@ -190,7 +192,7 @@ class Fields:
         self.force, self.around, self.curl = np.zeros((n, 2)), np.zeros((n, 2)), np.zeros(n)
         self.slid = np.zeros((n, 2))
         self.drag, self.mobility = np.zeros(n), np.zeros(n)
-        self.time = self.dt = self.stirring_since = 0.0
+        self.time = self.dt = self.span = self.stirring_since = 0.0
         self.stirring_flips, self.added = 0, 0.0
         self.seconds = dict.fromkeys(PARTS, 0.0)
         self.solver = Solver()
@@ -389,19 +391,19 @@ class Fields:
         """
         self.refuse_other(fluid)
         self.fluid, self.gravity = fluid, np.array(gravity)
-        self.solver.forget()
         self._remesh()
+        self.solver.forget()
 
     def keep(self) -> Kept:
         """The state before a step, for `back`."""
         state = {name: getattr(self, name) for name in (*STATE, *NUMBERS, *REFERENCES)}
         meshes = _copied(self.mesh), _copied(self.bed)
-        return *meshes, self.operator.x, self.solver.iterations, state
+        return *meshes, self.operator.x, copy(self.solver), state
 
     def back(self, kept: Kept) -> None:
         """Undo a step that failed, and whatever of it was done."""
-        mesh, bed, x, self.solver.iterations, state = kept
-        self.mesh, self.bed = _copied(mesh), _copied(bed)
+        mesh, bed, x, solver, state = kept
+        self.mesh, self.bed, self.solver = _copied(mesh), _copied(bed), copy(solver)
         for name, value in state.items():
             setattr(self, name, value)
         self._old = self.mesh.points.copy()

@@ -43,7 +43,9 @@ Int = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 #: Share of the pressures' own stiffness added to their diagonal, Eq. (2).
-PIVOT = 3e-8
+PIVOT = 1e-6
+#: In place of a pivot that is zero.
+HUGE = np.float32(1e30)
 #: Unknowns of the triangles of the smallest parts, each counted for each triangle, about.
 LEAF = 150
 #: Triangles whose median is taken for that of all.
@@ -295,6 +297,8 @@ def _eliminate(F, own, size, c):  # type: ignore[no-untyped-def]
     for k0 in range(0, own, BLOCK):
         k1 = min(k0 + BLOCK, own)
         for k in range(k0, k1):
+            if F[k, k] == 0.0:  # nothing holds this unknown: it is left out
+                F[k, k] = HUGE
             u = F[k, k:size]
             d = u[0]
             for i in range(k + 1, k1):

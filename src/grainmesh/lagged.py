@@ -67,8 +67,8 @@ def gmres(
     f: Float,
     tolerance: float,
     most: int,
-) -> tuple[Float, int, Float]:
-    """Solution from zero by preconditioned GMRES, iterations, and the residual (N,).
+) -> tuple[Float, int, float]:
+    """Solution from zero by preconditioned GMRES, iterations, and |residual|.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def gmres(
     """
     size = norm(f)
     if size <= tolerance or not np.isfinite(size):
-        return np.zeros_like(f), 0, f
+        return np.zeros_like(f), 0, size
     basis, kept = np.empty((most + 1, len(f))), []
     basis[0] = f / size
     H, rotations, g = np.zeros((most + 1, most)), np.zeros((most, 2)), np.zeros(most + 1)
@@ -98,7 +98,7 @@ def gmres(
         H[: j + 1, j] = _orthogonalise(basis[: j + 1], w)
         H[j + 1, j] = norm(w)
         if not np.isfinite(H[j + 1, j]):
-            return np.zeros_like(f), j + 1, np.full_like(f, np.inf)
+            return np.zeros_like(f), j + 1, np.inf
         for i, (cos, sin) in enumerate(rotations[:j]):
             H[i : i + 2, j] = cos * H[i, j] + sin * H[i + 1, j], cos * H[i + 1, j] - sin * H[i, j]
         length = float(np.hypot(H[j, j], H[j + 1, j]))
@@ -112,19 +112,7 @@ def gmres(
             break
     count = len(kept)
     y = solve_triangular(H[:count, :count], g[:count])
-    left = np.zeros(count + 1)
-    left[count] = g[count]
-    for i in reversed(range(count)):
-        cos, sin = rotations[i]
-        left[i : i + 2] = cos * left[i] - sin * left[i + 1], sin * left[i] + cos * left[i + 1]
-    return _combined(y, kept), count, _combined(left, list(basis[: count + 1]))
-
-
-def _combined(shares: Float, vectors: list[Float]) -> Float:
-    found = shares[0] * vectors[0]
-    for share, vector in zip(shares[1:], vectors[1:], strict=True):
-        found += share * vector
-    return found
+    return sum(c * z for c, z in zip(y, kept, strict=True)), count, abs(float(g[count]))
 
 
 # Not by BLAS, whose threads would wait for each other, and spin.

@@ -447,10 +447,9 @@ class Operator:
             whole = self.source()
             f = self.condensed(whole)
             goal = MOBILITY_TOLERANCE * norm(f[sought])
-            x, _, rest = gmres(
+            x, _, left = gmres(
                 lambda z: self.apply(z) * sought, precondition, f * sought, goal, MOST
             )
-            left = norm(rest)
             if left > goal:
                 raise RuntimeError(
                     f"linear solver: residual {left / goal * MOBILITY_TOLERANCE:.1e}"
