@@ -135,7 +135,7 @@ class Fluid:
         weight is held up by a mean pressure gradient besides, or all would fall for ever.
     tolerance : float
         Residual of the linear solver, over that of the fields foretold for the step. What is left
-        is given to the next step, so nothing is lost; a smaller one makes single steps exact.
+        is given to the next steps, so nothing is lost; 1e-4 makes single steps exact.
 
     Raises
     ------

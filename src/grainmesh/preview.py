@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 #: Rough constants, measured on one slow core with beds of 400 to 10 000 grains: seconds of a step
 #: of one disc, and of a step of the flow per unknown; MiB of the program, and more per unknown,
 #: the factor of the matrix included.
-DISC_STEP, FLOW_STEP, PROGRAM, UNKNOWN = 4e-8, 4.5e-6, 310.0, 5e-3
+DISC_STEP, FLOW_STEP, PROGRAM, UNKNOWN = 4e-8, 2.5e-6, 320.0, 3e-3
 #: Of methods for particles at rest: unknowns and seconds of a disc.
 RESTING = {"resolved": (1000, 1e-2), "mesoscale": (10, 3e-4), "microstructure": (0, 2e-5)}
 #: Porosity of settled discs, and Reynolds number up to which laws without inertia will do.
