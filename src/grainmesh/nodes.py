@@ -250,18 +250,7 @@ def bounded(box: Box, x: Float, radius: Float, spacing: float | None = None) -> 
             raise InputError(f"spacing {spacing:g} m of fluid nodes must be a positive number")
         rows, columns = _count(box, spacing)
     nodes = np.vstack([x, _on_walls(box, radius, spacing)])
-    points = np.vstack([nodes, _candidates(box, rows, columns)])
-    weight = np.zeros(len(points))
-    weight[: len(x)] = radius**2
-    in_use = np.arange(len(points)) < len(nodes)
-    none = np.empty((0, 3), np.int32)
-    mesh = Bounded(
-        box, points, weight, none, none, np.empty((0, 3, 2), np.int32),
-        in_use=in_use, rows=rows, columns=columns,
-    )  # fmt: skip
-    mesh.renew(np.array(x))
-    mesh.flips = mesh.made = 0
-    return mesh
+    return _made(box, nodes, radius, _candidates(box, rows, columns), rows, columns)
 
 
 def alone(box: Box, x: Float, radius: Float, reach: float) -> Bounded:
@@ -291,14 +280,22 @@ def alone(box: Box, x: Float, radius: Float, reach: float) -> Bounded:
         margin = max(margin, 0.02 * float(box.size.max()))  # else they were too many
         around = _around(box.size + 2.0 * margin, margin)
         points = np.vstack([x, around - margin])
+    return _made(box, points, radius, np.empty((0, 2)), 0, 0)
+
+
+def _made(
+    box: Box, used: Float, radius: Float, candidates: Float, rows: int, columns: int
+) -> Bounded:
+    """The triangulation of points in use, the first of which are discs, made from nothing."""
+    points = np.vstack([used, candidates])
     weight = np.zeros(len(points))
-    weight[: len(x)] = radius**2
-    none, in_use = np.empty((0, 3), np.int32), np.ones(len(points), dtype=bool)
+    weight[: len(radius)] = radius**2
+    none = np.empty((0, 3), np.int32)
     mesh = Bounded(
         box, points, weight, none, none, np.empty((0, 3, 2), np.int32),
-        in_use=in_use, rows=0, columns=0,
+        in_use=np.arange(len(points)) < len(used), rows=rows, columns=columns,
     )  # fmt: skip
-    mesh.renew(np.array(x))
+    mesh.renew(used[: len(radius)].copy())
     mesh.flips = mesh.made = 0
     return mesh
 
