@@ -7,8 +7,8 @@ Syrup flows up through grains, faster and faster.
    :alt: A bed of grains that grows as the flow does
 
 Seen is the bed at rest until the flow carries its weight, then grains that part and a bed that
-grows. The pressure drop rises in proportion to the flow, then stays at the weight of the grains
-less their buoyancy, over the width of the bed. Where the freeboard is, the mesh has nodes of its
+grows. The pressure drop rises with the flow (at first the bed, which has settled dry, takes up
+fluid), then stays at the weight of the grains less their buoyancy, over the width of the bed. Where the freeboard is, the mesh has nodes of its
 own. The law of drag is one whose range reaches down to packed discs.
 
 Run it with::
@@ -67,9 +67,10 @@ def main(out: Path, quick: bool = False) -> gm.Simulation:
     figure, ax = plt.subplots(layout="constrained")
     ax.plot(U, drop / weight, label="pressure drop / weight of the bed")
     ax.plot(U, height / height[0], label="height of the bed / at first")
-    ax.set(xlabel="U [m/s]", ylim=(0.0, None))
+    ax.set(xlabel="U [m/s]")
     ax.legend(frameon=False)
     plot.save(figure, out / "pressure.png")
+    print(out / "pressure.png")
     carried = drop[0.75 * U[-1] < U].mean() / weight
     print(
         f"pressure drop over weight {carried:.3f}, height over first {height[-1] / height[0]:.2f}"
