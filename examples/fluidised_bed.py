@@ -8,8 +8,9 @@ Syrup flows up through grains, faster and faster.
 
 Seen is the bed at rest until the flow carries its weight, then grains that part and a bed that
 grows. The pressure drop rises with the flow (at first the bed, which has settled dry, takes up
-fluid), then stays at the weight of the grains less their buoyancy, over the width of the bed. Where the freeboard is, the mesh has nodes of its
-own. The law of drag is one whose range reaches down to packed discs.
+fluid), then stays at the weight of the grains less their buoyancy, over the width of the bed.
+Where the freeboard is, the mesh has nodes of its own. The law of drag is one whose range reaches
+down to packed discs.
 
 Run it with::
 
