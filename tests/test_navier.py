@@ -238,7 +238,7 @@ def test_averages_are_in_the_matrix_condensed_with_it(order, periodic):
             slope = np.append(0.0 * op.u, it.load("p", LinearForm(psi * grad(q)[axis] * much)))
             K += E[one] * (np.outer(u, slope) + np.outer(slope, u))
             K -= S[one] * np.outer(slope, slope)
-    op.averaged = Averaged(k.spread, k.hats, E, S)
+    op.averaged = Averaged(k, E, S)
     assert close(np.array([op.apply(row) for row in np.eye(len(K))]), K)
     op.outer = condensed
     op.assemble()

@@ -18,7 +18,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from grainmesh.integrals import BLOCK
-from grainmesh.spread import Spread
+from grainmesh.spread import Kernel
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -30,32 +30,22 @@ class Averaged:
 
     Parameters
     ----------
-    spread : Spread
+    kernel : Kernel
         Of the discs.
-    hats : (m,)
-        Integrals of the hats, 1 for points that are no vertex [m2].
     E, S : (n,)
     """
 
-    spread: Spread
-    hats: Float
+    kernel: Kernel
     E: Float
     S: Float
 
-    def mean(self, moments: Float) -> Float:
-        """<f>_i (n, 2) from ∫φ_v f (m, 2)."""
-        return self.spread.means(moments / self.hats[:, None])
-
     def force(self, slope: Float) -> Float:
         """Density, linear (m, 2), of the first of Eq. (1), from <∇p>_i (n, 2)."""
-        return self._field(self.E[:, None] * slope)
+        return self.kernel.field(self.E[:, None] * slope)
 
     def flux(self, u: Float, slope: Float) -> Float:
         """What stands before ∇q in the second of Eq. (1), linear (m, 2), from <u>_i too."""
-        return self._field(self.E[:, None] * u - self.S[:, None] * slope)
-
-    def _field(self, values: Float) -> Float:
-        return self.spread.sums(values) / self.hats[:, None]
+        return self.kernel.field(self.E[:, None] * u - self.S[:, None] * slope)
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
@@ -123,7 +113,7 @@ def within(
 
 @njit(cache=True)
 def moments(corner: Int, rows: Int, area: Float, u: Float, H: Float, m: int) -> Float:
-    """∫φ_v u (m, 2), H of `element.hats`."""
+    """∫φ_v u (m, 2), H of `element.hats`, the adjoint of `integrals.spread`."""
     found = np.zeros((m, 2))
     for e in range(len(corner)):
         for c in range(3):
@@ -133,21 +123,6 @@ def moments(corner: Int, rows: Int, area: Float, u: Float, H: Float, m: int) -> 
                 y += H[i, c] * u[rows[e, i], 1]
             found[corner[e, c], 0] += area[e] * x
             found[corner[e, c], 1] += area[e] * y
-    return found
-
-
-@njit(cache=True)
-def loads(corner: Int, rows: Int, area: Float, f: Float, H: Float, size: int) -> Float:
-    """∫f·v (size, 2) of a linear field (m, 2), the adjoint of `moments`."""
-    found = np.zeros((size, 2))
-    for e in range(len(corner)):
-        for i in range(len(H)):
-            x = y = 0.0
-            for c in range(3):
-                x += H[i, c] * f[corner[e, c], 0]
-                y += H[i, c] * f[corner[e, c], 1]
-            found[rows[e, i], 0] += area[e] * x
-            found[rows[e, i], 1] += area[e] * y
     return found
 
 
@@ -186,4 +161,4 @@ def spilled(
     return found
 
 
-__all__ = ["Averaged", "loads", "moments", "slopes", "spilled", "within"]
+__all__ = ["Averaged", "moments", "slopes", "spilled", "within"]

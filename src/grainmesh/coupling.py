@@ -54,7 +54,7 @@ from grainmesh import integrals
 from grainmesh.averaged import Averaged
 from grainmesh.drag import Bed
 from grainmesh.errors import RunError
-from grainmesh.fields import LEAST_POROSITY, Discs, Fields, Kernel
+from grainmesh.fields import LEAST_POROSITY, Discs, Fields
 from grainmesh.medium import Inflow
 
 Float = NDArray[np.float64]
@@ -206,7 +206,7 @@ class Coupling(Fields):
             f=k.field((b * alpha)[:, None] * ahead - known) + eps[:, None] * push,
             g=k.field((V * alpha)[:, None] * ahead),
         )
-        op.averaged = Averaged(k.spread, k.hats, b * share * V, V**2 * share)
+        op.averaged = Averaged(k, b * share * V, V**2 * share)
         op.stirred[:] = self._stirred()
         self.added = float(op.stirred.max())
         f = op.source()
@@ -346,4 +346,4 @@ class _Clock:
         self.last = now
 
 
-__all__ = ["Coupling", "Discs", "Kernel"]
+__all__ = ["Coupling", "Discs"]

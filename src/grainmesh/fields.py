@@ -19,7 +19,7 @@ from grainmesh.mesh import flow_mesh
 from grainmesh.navier import Operator
 from grainmesh.nodes import Bounded, alone, bounded
 from grainmesh.solver import Solver
-from grainmesh.spread import Spread, spread
+from grainmesh.spread import Kernel, Spread, spread
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -61,40 +61,6 @@ class Discs:
     def inverse(self) -> Float:
         """1/m, 0 for discs that are held [m/kg]."""
         return np.where(self.free, 1.0 / self.mass, 0.0)
-
-
-@dataclass(frozen=True, eq=False)
-class Kernel:
-    """Eq. (2) at one moment.
-
-    Attributes
-    ----------
-    hats : (m,)
-        h_v; 1 for points that are no vertex.
-    porosity : (m,)
-        ε at the points, 1 for those that are no vertex.
-    spread : Spread
-        Areas of the cells of the discs, and S.
-    """
-
-    hats: Float
-    porosity: Float
-    spread: Spread
-
-    @property
-    def area(self) -> Float:
-        """A_i [m2], (n,)."""
-        return self.spread.area
-
-    def field(self, values: Float) -> Float:
-        """Values at the vertices of sum_i values_i ψ_i, (m,) or (m, 2)."""
-        hats = self.hats if values.ndim == 1 else self.hats[:, None]
-        return self.spread.sums(values) / hats
-
-    def mean(self, moments: Float) -> Float:
-        """<f>_i from ∫φ_v f, (m,) or (m, c)."""
-        hats = self.hats if moments.ndim == 1 else self.hats[:, None]
-        return self.spread.means(moments / hats)
 
 
 class Sample(NamedTuple):

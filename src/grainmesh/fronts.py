@@ -94,18 +94,9 @@ class Fronts:
         self._panels = np.empty(panel[-1], np.float32)
         self._pivots, heap = np.empty(len(unknown), np.float32), np.empty(room, np.float32)
         about = (
-            K,
-            rows,
-            order,
-            depth,
-            first,
-            pivot,
-            at,
-            heap,
-            self._panels,
-            self._pivots,
-            *self._plan,
-        )
+            K, rows, order, depth, first, pivot, at, heap,
+            self._panels, self._pivots, *self._plan,
+        )  # fmt: skip
         self._halves(_factor, about, about)
         _factor(self._parts - 1, self._parts, *about)
 

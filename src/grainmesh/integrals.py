@@ -236,12 +236,14 @@ def diagonal(K: Float, rows: Int, first: int, size: int) -> Float:
 
 @njit(cache=True, fastmath={"contract"})
 def spread(corner: Int, rows: Int, area: Float, f: Float, H: Float, size: int) -> Float:
-    """∫f φ_i (size,) of a field f (m,), by `hats`."""
-    found = np.zeros(size)
+    """∫f φ_i (size, c) of a field f (m, c), by `hats`."""
+    found = np.zeros((size, f.shape[1]))
     for e in range(len(corner)):
-        f0, f1, f2 = f[corner[e, 0]], f[corner[e, 1]], f[corner[e, 2]]
-        for i in range(len(H)):
-            found[rows[e, i]] += area[e] * (f0 * H[i, 0] + f1 * H[i, 1] + f2 * H[i, 2])
+        v0, v1, v2 = corner[e]
+        for c in range(f.shape[1]):
+            f0, f1, f2 = area[e] * f[v0, c], area[e] * f[v1, c], area[e] * f[v2, c]
+            for i in range(len(H)):
+                found[rows[e, i], c] += f0 * H[i, 0] + f1 * H[i, 1] + f2 * H[i, 2]
     return found
 
 

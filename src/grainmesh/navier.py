@@ -189,9 +189,13 @@ class Operator:
 
     def mass(self) -> Float:
         """∫ρ ε v for each component, (size,)."""
-        on = self.topology.corners, self.keys.rows, self.area
-        found: Float = integrals.spread(*on, self.eps, hats(self.keys.element), self.keys.size)
-        return self.density * found
+        return self.density * self._spread(self.eps[:, None])[:, 0]
+
+    def _spread(self, f: Float) -> Float:
+        """∫f φ of a linear field (m, c), (size, c)."""
+        table = hats(self.keys.element)
+        found: Float = integrals.spread(*self._on_u, f, table, self.keys.size)
+        return found
 
     def convection(self, e: Float) -> tuple[Float, Float]:
         """C of a velocity e (size, 2), and what of R is not the change of mass (size,)."""
@@ -314,7 +318,7 @@ class Operator:
         """Left sides of (1) and (2) for unknowns (N,), those inside of triangles eliminated."""
         discs, slope, force = self.averaged, np.empty(0), np.empty(0)
         if discs is not None:
-            slope = discs.mean(self._slopes(x))
+            slope = discs.kernel.mean(self._slopes(x))
             force = discs.force(slope)
 
         def part(some: slice) -> tuple[Float, Float]:
@@ -331,7 +335,7 @@ class Operator:
         pair = both(part, (slice(0, half),), (slice(half, None),), half > MANY)
         found: Float = pair[0][0] + pair[1][0]
         if discs is not None:
-            u = discs.mean(pair[0][1] + pair[1][1])
+            u = discs.kernel.mean(pair[0][1] + pair[1][1])
             found[self.split :] += self._spilled(discs.flux(u, slope))
         return found
 
@@ -342,7 +346,7 @@ class Operator:
             x = np.zeros_like(f)
             integrals.completed(self.inner, self.rows, found, x)
             on, u = self._on_u, x[: self.split].reshape(-1, 2)
-            u = discs.mean(averaged.moments(*on, u, hats(self.keys.element), len(self.eps)))
+            u = discs.kernel.mean(averaged.moments(*on, u, hats(self.keys.element), len(self.eps)))
             found[self.split :] -= self._spilled(discs.flux(u, np.zeros_like(u)))
         return found
 
@@ -350,7 +354,7 @@ class Operator:
         """Put the unknowns inside of triangles into x; f is of `condensed`."""
         discs = self.averaged
         if discs is not None and self.outer < self.rows.shape[1]:
-            force = discs.force(discs.mean(self._slopes(x)))
+            force = discs.force(discs.kernel.mean(self._slopes(x)))
             f = f - self._condensed(self._loads(force))
         integrals.completed(self.inner, self.rows, f, x)
 
@@ -369,8 +373,7 @@ class Operator:
     def _loads(self, f: Float) -> Float:
         """∫f·v of a linear field (m, 2), (N,)."""
         found = np.zeros(len(self.free))
-        on = *self._on_u, f, hats(self.keys.element), self.keys.size
-        found[: self.split] = averaged.loads(*on).ravel()
+        found[: self.split] = self._spread(f).ravel()
         return found
 
     def _spilled(self, g: Float) -> Float:

@@ -95,6 +95,40 @@ class Spread:
         return found.reshape(-1, *values.shape[1:])
 
 
+@dataclass(frozen=True, eq=False)
+class Kernel:
+    """The kernels ψ_i = sum_v S_iv φ_v / h_v of particles with solid, Eq. (2) of `coupling`.
+
+    Attributes
+    ----------
+    hats : (m,)
+        h_v; 1 for points that are no vertex.
+    porosity : (m,)
+        ε at the points, 1 for those that are no vertex.
+    spread : Spread
+        Areas of the cells of the discs, and S.
+    """
+
+    hats: Float
+    porosity: Float
+    spread: Spread
+
+    @property
+    def area(self) -> Float:
+        """A_i [m2], (n,)."""
+        return self.spread.area
+
+    def field(self, values: Float) -> Float:
+        """Values at the vertices of sum_i values_i ψ_i, (m,) or (m, 2)."""
+        hats = self.hats if values.ndim == 1 else self.hats[:, None]
+        return self.spread.sums(values) / hats
+
+    def mean(self, moments: Float) -> Float:
+        """<f>_i from ∫φ_v f, (m,) or (m, c)."""
+        hats = self.hats if moments.ndim == 1 else self.hats[:, None]
+        return self.spread.means(moments / hats)
+
+
 def spread(
     bed: Living,
     reach: float,
@@ -603,4 +637,4 @@ def _beyond(  # type: ignore[no-untyped-def]
     return todo, count
 
 
-__all__ = ["Spread", "spread"]
+__all__ = ["Kernel", "Spread", "spread"]
