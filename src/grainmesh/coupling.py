@@ -77,8 +77,7 @@ class Coupling(Fields):
         """How many steps `dt` of contacts the next step of the flow takes, at most `most`."""
         op, corner = self.operator, self.operator.topology.corners
         longest = self.fluid.dt or np.inf
-        speed = np.zeros((len(self.mesh.points), 2))
-        speed[: len(self.velocity)] = self.velocity
+        speed = self.mesh.carried(self.velocity)
         d = float(self.discs.diameter.min())
         fall = float(np.hypot(*self.gravity) + np.hypot(*self.fluid.push) / self.fluid.density)
         if fall > 0.0:
@@ -250,8 +249,7 @@ class Coupling(Fields):
     def _stirred(self) -> Float:
         """Viscosity that keeps the Reynolds number of each triangle below `ROUGH` [Pa s], (t,)."""
         op = self.operator
-        flow = op.u[: len(self.mesh.points)].copy()
-        flow[: len(self.velocity)] -= self.velocity
+        flow = op.u[: len(self.mesh.points)] - op.w
         rough = integrals.roughness(op.topology.corners, op.gradient, op.area, flow)
         wanted: Float = self.fluid.density / ROUGH * rough - self.fluid.viscosity
         return np.maximum(wanted, 0.0)

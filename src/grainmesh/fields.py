@@ -146,10 +146,11 @@ class Fields:
     ) -> None:
         self.box, self.fluid, self.discs = box, fluid, discs
         self.gravity = np.array(gravity)
-        if fluid.spacing is not None and box.area > MANY * fluid.spacing**2:
+        s = fluid.spacing[0] if isinstance(fluid.spacing, tuple) else fluid.spacing
+        if s is not None and box.area > MANY * s**2:
             raise InputError(
-                f"fluid: a spacing of {fluid.spacing:g} m makes {box.area / fluid.spacing**2:.1g} "
-                "nodes in this box: check the unit, or take a larger one"
+                f"fluid: a spacing of {s:g} m makes {box.area / s**2:.1g} nodes in this box: check "
+                "the unit, or take a larger one"
             )
         self.mesh = bounded(box, x, 0.5 * discs.diameter, fluid.spacing)
         self.bed = alone(box, x, 0.5 * discs.diameter, self._reach)

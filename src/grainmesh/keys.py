@@ -50,15 +50,21 @@ def one_of(names: Iterable[str], what: str) -> BeforeValidator:
     return BeforeValidator(check, json_schema_input_type=Literal[tuple(known)])
 
 
-def _diameters(value: object) -> float | tuple[float, float]:
-    if not isinstance(value, (list, tuple)):
-        return _positive(si(value, "m"))
-    if len(value) != 2:
-        raise InputError("expected one diameter, or two as bounds: [least, largest]")
-    low, high = (_positive(si(part, "m")) for part in value)
-    if low > high:
-        raise InputError("the first bound must not be above the second")
-    return low, high
+def _one_or_two(what: str) -> PlainValidator:
+    """A length, or two that ascend; `what` says what they are."""
+
+    def check(value: object) -> float | tuple[float, float]:
+        if not isinstance(value, (list, tuple)):
+            return _positive(si(value, "m"))
+        if len(value) != 2:
+            raise InputError(f"expected {what}")
+        low, high = (_positive(si(part, "m")) for part in value)
+        if low > high:
+            raise InputError("the first must not be above the second")
+        return low, high
+
+    kind = float | str | tuple[float | str, float | str]
+    return PlainValidator(check, json_schema_input_type=kind)
 
 
 def _positive(value: float) -> float:
@@ -104,9 +110,11 @@ Velocity = tuple[Speed, Speed]
 Region = tuple[Length, Length, Length, Length]
 Diameters = Annotated[
     float | tuple[float, float],
-    PlainValidator(
-        _diameters, json_schema_input_type=float | str | tuple[float | str, float | str]
-    ),
+    _one_or_two("one diameter, or two as bounds: [least, largest]"),
+]
+Spacing = Annotated[
+    float | tuple[float, float],
+    _one_or_two("one distance, or two: [beside particles, far from them]"),
 ]
 SideName = Annotated[str, one_of(SIDES, "side")]
 #: Words for what pydantic says of a value.
@@ -214,6 +222,7 @@ __all__ = [
     "SideName",
     "Size",
     "Slope",
+    "Spacing",
     "Span",
     "Speed",
     "Stiffness",

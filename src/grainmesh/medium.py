@@ -123,8 +123,9 @@ class Fluid:
         "euler" (implicit Euler) or "bdf2", of second order.
     reach : float
         No particle is spread over more than a circle of this radius, in largest diameters.
-    spacing : float, optional
-        Distance of nodes where no particles are [m]; if not given, there are none but on walls, and
+    spacing : float or (float, float), optional
+        Distance of nodes where no particles are [m]; two: beside particles and walls, and far from
+        them, where it grows by a quarter of the way. If not given, there are none but on walls, and
         triangles in an empty part of the box are large.
     torque : bool
         Viscous torque pi mu d² (vorticity/2 - spin) on each disc.
@@ -151,7 +152,7 @@ class Fluid:
     dt: float | None = None
     scheme: str = "euler"
     reach: float = 3.0
-    spacing: float | None = None
+    spacing: float | tuple[float, float] | None = None
     torque: bool = True
     added_mass: float = 0.0
     push: tuple[float, float] = (0.0, 0.0)
@@ -162,6 +163,15 @@ class Fluid:
             value = getattr(self, name)
             if value is None and name in ("dt", "spacing"):
                 continue
+            if name == "spacing" and isinstance(value, (tuple, list, np.ndarray)):
+                value = _pair("fluid: spacing", value, "m")
+                object.__setattr__(self, "spacing", value)
+                if value[0] > value[1]:
+                    raise InputError(
+                        f"fluid: spacing = {value}, beside particles and far from them [m], must "
+                        "ascend"
+                    )
+                value = value[0]
             _number(f"fluid: {name}", value, UNITS[name])
             if value <= 0.0:
                 raise InputError(f"fluid: {name} = {value:g} must be positive")

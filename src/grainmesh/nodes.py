@@ -1,35 +1,48 @@
 """The mesh of the flow: a triangulation of the box by its particles, and nodes for the fluid.
 
-Its vertices are the n particles, nodes on the walls (none in a periodic box), and the sites of a
-hexagonal lattice of pitch s that stay where they are: candidates, which are in use only where the
-fluid has room. With the clearance of a candidate c,
+Its vertices are the n particles, nodes on the walls (none in a periodic box), and nodes inside. How
+far apart these are is a field, from s at particles and walls to S, with the distance l from both:
 
-    g_c = min_i (|x_c - x_i| - r_i),                                                          (1)
+    h = min(S, s + l/4),                                                                      (1)
 
-it comes into use where g_c > 0.9 s and leaves where g_c < 0.5 s (`ROOM`, `NEAR`), so a particle
-must move by 0.4 s before a node changes twice. Vertices keep their numbers for ever, in use or not.
+and the room of a place c is the radius of the largest circle about it that is at right angles to
+discs or farther out, has no node in it, and none of its own image behind a wall,
+
+    g_c² = min(|x_c - x_i|² - r_i², |x_c - x_node|², 4 l_wall²).                               (2)
+
+A node comes in where g_c > 0.75 h and leaves where g_c < 0.45 h (`ROOM`, `NEAR`). The places with
+most room are the centres of such circles of three corners of a triangle, so they are all that is
+looked at, and who has least room for a node are its neighbours. Where S = s angles of triangles
+between nodes are therefore above asin(0.45/1.5) = 17 degrees, however the particles move.
+
+Nodes go along with the particles: each moves as its neighbours do on average, in `SWEEPS` sweeps
+from rest (in a periodic box, from the mean motion). Where no particle moves no node does.
 
 All vertices in use make one power triangulation, of weights r² for particles and 0 for nodes. So
 
 - discs that touch are joined by an edge: at a point p of both, |p - x|² - r² <= 0 <= |p - x_c|²,
   no node is nearer;
-- no node is hidden: a candidate in use lies outside all discs, in its own cell, and nodes on a line
-  that has all points on one side are hidden by none of them.
+- no node is hidden: inside it lies outside all discs, in its own cell, and nodes on a line that has
+  all points on one side are hidden by none of them.
 
 It is made from the two triangles of the corners, or from the lattice of images of one particle, by
 putting in all other vertices (`grainmesh.flips`), and from then on kept by flips. `alone` makes
-that of the particles without such nodes, where neighbours are those of the power cells.
+that of the particles without such nodes, where neighbours are those of the power cells. Vertices
+keep their numbers; those of nodes that have left are given away again, the oldest first.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil, floor, isfinite, sqrt
+from math import ceil, sqrt
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
+from grainmesh.clearance import carried, covered, crowded, openings, sizes
 from grainmesh.domain import Box
 from grainmesh.errors import InputError
 from grainmesh.flips import insert, remove, repair
@@ -39,16 +52,13 @@ from grainmesh.predicates import orientation
 Float = NDArray[np.float64]
 Int = NDArray[np.int32]
 Bool = NDArray[np.bool_]
+Spacing = float | tuple[float, float] | None
 
-#: A candidate is used where it is farther than this from all discs, in spacings.
-ROOM = 0.9
-#: A node leaves when it is nearer than this to a disc, in spacings.
-NEAR = 0.5
 #: Spacing of the nodes on walls, in mean diameters, and its least share of sqrt(area/n), the mean
 #: distance between particles.
 WALL_SPACING, WALL_SPACING_DILUTE = 2.0, 1.0 / 3.0
-#: Distance of the rows of a hexagonal lattice, in spacings.
-RISE = sqrt(0.75)
+#: Numbers for nodes inside, over how many a lattice of pitch s has.
+SPARE = 1.5
 
 
 @dataclass(kw_only=True)
@@ -58,17 +68,22 @@ class Bounded(Living):
     Parameters
     ----------
     box, points, weight, triangles, neighbours, shifts, flips, inverted, made
-        As of `Living`, but the points are [n particles | nodes on walls | candidates], some of
+        As of `Living`, but the points are [n particles | nodes on walls | nodes inside], some of
         which are in no triangle.
     in_use : (m,) bool
         Whether each point is a vertex of the triangulation; particles and walls always are.
-    rows, columns : int
-        Of the lattice of candidates, the last of the points, row by row.
+    spacing : (2,)
+        s and S of Eq. (1) [m].
+    inside : int
+        How many of the points, the last ones, are for nodes inside.
+    given : int
+        Which of them was the last to be given away.
     """
 
     in_use: Bool
-    rows: int
-    columns: int
+    spacing: Float
+    inside: int
+    given: int = -1
 
     @property
     def n(self) -> int:
@@ -76,65 +91,95 @@ class Bounded(Living):
         return int(np.count_nonzero(self.weight))
 
     @property
-    def spacing(self) -> float:
-        """Distance s of neighbours in the lattice of candidates [m]; inf if there are none."""
-        if self.rows * self.columns == 0:
-            return float("inf")
-        return sqrt(float(_pitch(self.box, self.rows, self.columns).prod()) / RISE)
+    def first(self) -> int:
+        """The first of the points for nodes inside."""
+        return len(self.points) - self.inside
+
+    def carried(self, values: Float) -> Float:
+        """Velocities of the particles or the like (n, 2), and of nodes that go along (m, 2)."""
+        found = np.zeros((len(self.points), 2))
+        if self.box.periodic:
+            found[:] = values.mean(axis=0)
+        found[: len(values)] = values
+        if self.inside:
+            carried(self.triangles, self.first, found)
+        return found
 
     def move(self, x: Float) -> bool:
-        """Move the particles to `x` (n, 2) [m]; whether all triangles still are positive.
+        """Move the particles to `x` (n, 2) [m], and nodes; whether all triangles are positive.
 
-        No triangle changes, so another `move` takes it back.
+        No triangle changes.
         """
+        self.points += self.carried(x - self.points[: len(x)])
         self.points[: len(x)] = x
         return bool(_positive(self.points, self.period, self.triangles, self.shifts))
 
     def mend(self) -> bool:
         """Make it the power triangulation of particles and nodes again; whether a triangle changed.
 
-        Nodes that particles come near leave, others come into use where there is room.
+        Nodes that have no room leave, others come in where there is room.
 
         Raises
         ------
         InputError
             If a particle has left the box, or the discs overlap so much that one is hidden.
         """
-        before = self.flips
-        out, into = self._changes()
-        some, fits = len(out) > 0 or len(into) > 0, True
-        if some:
-            positive = _positive(self.points, self.period, self.triangles, self.shifts)
-            fits = (positive or self._repair()) and self._take_out(out) and self._put_in(into)
-        if not (fits and self._repair()):
+        before, free = self.flips, self._free
+        if not self._repair():
             self.renew(self.points[: self.n])
             return True
-        return some or self.flips > before
+        if self.inside == 0:
+            return self.flips > before
+        out = self._crowded()
+        fits = len(out) == 0 or (self._take_out(out) and self._repair())
+        put = self._fill(free) if fits else 0
+        if not (fits and (put == 0 or self._repair())):
+            self.renew(self.points[: self.n], free)
+            return True
+        return len(out) > 0 or put > 0 or self.flips > before
 
     def follow(self, x: Float) -> None:
         """Move the particles to `x` (n, 2) [m], and `mend`."""
         self.points[: len(x)] = x
         self.mend()
 
-    def renew(self, x: Float) -> None:
-        """The same, made from nothing.
+    def renew(self, x: Float, free: NDArray[np.int64] | None = None) -> None:
+        """The same, made from nothing, with the nodes inside that have room.
+
+        Others get numbers that are free at present, or these.
 
         Raises
         ------
         InputError
             As `mend`.
         """
-        n = len(x)
+        n, first = len(x), self.first
         self.points[:n] = x
-        self._inside(x)
-        out, into = self._changes()
-        self.in_use[out], self.in_use[into] = False, True
+        self._within(x)
+        free = self._free if free is None else free
+        nodes = self.points[first:]
+        if not self.box.periodic:
+            self.in_use[first:] &= ((nodes > 0.0) & (nodes < self.box.size)).all(axis=1)
+        some = np.flatnonzero(self.in_use[first:])
+        radius = np.sqrt(self.weight[:n])
+        self.in_use[first + some] = ~covered(nodes[some], x, radius, self.period)
+        self._build(n)
+        while len(out := self._crowded()):
+            self.in_use[out] = False
+            self._build(n)
+        self._fill(free)
+        if not self._repair():
+            raise InputError(self._deepest())
+        self.made += 1
+
+    def _build(self, n: int) -> None:
+        """The triangulation of the points in use, of which n are particles, or raise."""
         corners, self.triangles, self.neighbours, self.shifts = _start(self.box, n)
         rest = self.in_use.copy()
         rest[corners] = False
         order = np.flatnonzero(rest)
         order = order[np.argsort(_along_a_curve(self.points[order], self.box.size), kind="stable")]
-        if not self._put_in(order):
+        if self._put_in(order) < len(order):
             name = order[~np.isin(order, self.triangles)][0]
             raise InputError(
                 f"particle {name} has no place in the triangulation: another has the same centre "
@@ -142,27 +187,66 @@ class Bounded(Living):
             )
         if not self._repair():
             raise InputError(self._deepest())
-        self.made += 1
 
     def drop(self, stay: Bool) -> None:
         """Keep only the particles where `stay` (n,) holds; then `follow` where they are now."""
         self.in_use = np.concatenate([self.in_use[: len(stay)][stay], self.in_use[len(stay) :]])
         super().drop(stay)
 
-    def _changes(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Nodes in use that particles are near, and candidates not in use that have room."""
-        s, first = self.spacing, len(self.points) - self.rows * self.columns
-        clearance = np.empty(0)
-        if isfinite(s):
-            pitch = _pitch(self.box, self.rows, self.columns)
-            sites = self.box.periodic, self.rows, self.columns, self.points[first], pitch
-            clearance = _clearance(
-                self.points[: self.n], np.sqrt(self.weight[: self.n]), *sites, ROOM * s
-            )
-        used = self.in_use[first:]
-        out = np.flatnonzero(used & (clearance < NEAR * s))
-        into = np.flatnonzero(~used & (clearance > ROOM * s))
-        return first + out, first + into
+    @property
+    def _free(self) -> NDArray[np.int64]:
+        """Numbers for nodes inside that are not in use, those longest so first."""
+        number = self.first + np.roll(np.arange(self.inside), -1 - self.given)
+        free: NDArray[np.int64] = number[~self.in_use[number]]
+        return free
+
+    @property
+    def _about(self) -> tuple[Any, ...]:
+        """What `grainmesh.clearance` looks at."""
+        return (
+            self.points, np.sqrt(self.weight), self.box.size, self.period, self.triangles,
+            self.shifts,
+        )  # fmt: skip
+
+    def _sizes(self) -> Float:
+        """h of Eq. (1) (m,)."""
+        found: Float = sizes(*self._about, self.first, *self.spacing)
+        return found
+
+    def _crowded(self) -> NDArray[np.int64]:
+        """Nodes that are to leave."""
+        if self.inside == 0:
+            return np.empty(0, np.int64)
+        return np.flatnonzero(crowded(*self._about, self.first, self._sizes()))
+
+    def _fill(self, free: NDArray[np.int64]) -> int:
+        """Put nodes of these numbers where there is room, as far as they go; how many."""
+        total = 0
+        while self.inside and len(free):
+            places = self._openings()[: len(free)]
+            some, free = free[: len(places)], free[len(places) :]
+            self.points[some] = places
+            put = self._put_in(some)
+            total += put
+            if put == 0:
+                break
+            self.given = int(some[put - 1]) - self.first
+        return total
+
+    def _openings(self) -> Float:
+        """Places (k, 2) [m] where nodes have room at once, that with most of it first."""
+        places: Float
+        places, room, wanted = openings(*self._about, *self.spacing, self._sizes())
+        if len(places) < 2:
+            return places
+        order = np.argsort(-room, kind="stable")
+        places, wanted = places[order], wanted[order]
+        size = self.box.size if self.box.periodic else None
+        tree = cKDTree(places if size is None else np.mod(places, size), boxsize=size)
+        taken = np.zeros(len(places), bool)
+        for c, near in enumerate(tree.query_ball_point(tree.data, wanted)):
+            taken[c] = not taken[near].any()
+        return places[taken]
 
     def _take_out(self, vertices: NDArray[np.int64]) -> bool:
         if len(vertices) == 0:
@@ -173,9 +257,8 @@ class Bounded(Living):
         self.in_use[vertices] = not gone  # made anew, it asks again
         return bool(gone)
 
-    def _put_in(self, vertices: NDArray[np.int64]) -> bool:
-        if len(vertices) == 0:
-            return True
+    def _put_in(self, vertices: NDArray[np.int64]) -> int:
+        """How many could be put in."""
         size = len(self.triangles)
         arrays = [
             np.concatenate([array, np.empty((2 * len(vertices), *array.shape[1:]), np.int32)])
@@ -183,8 +266,8 @@ class Bounded(Living):
         ]
         size, put = insert(self.points, self.weight, self.period, *arrays, size, vertices)
         self.triangles, self.neighbours, self.shifts = (array[:size] for array in arrays)
-        self.in_use[vertices] = True
-        return bool(put == len(vertices))
+        self.in_use[vertices[:put]] = True
+        return int(put)
 
     def _repair(self) -> bool:
         flips, inverted, fits = repair(
@@ -194,7 +277,7 @@ class Bounded(Living):
         self.inverted += inverted
         return bool(fits)
 
-    def _inside(self, x: Float) -> None:
+    def _within(self, x: Float) -> None:
         """Raise if a centre is not strictly inside a box with walls."""
         inside = np.isfinite(x) & (self.box.periodic | ((x > 0.0) & (x < self.box.size)))
         out = np.flatnonzero(~inside.all(axis=1))
@@ -220,7 +303,7 @@ class Bounded(Living):
         )
 
 
-def bounded(box: Box, x: Float, radius: Float, spacing: float | None = None) -> Bounded:
+def bounded(box: Box, x: Float, radius: Float, spacing: Spacing = None) -> Bounded:
     """The triangulation of a box by discs at `x` (n, 2) [m] of radii (n,) [m], and its nodes.
 
     Parameters
@@ -231,8 +314,9 @@ def bounded(box: Box, x: Float, radius: Float, spacing: float | None = None) -> 
         nodes on walls, and `x` may lie in any image of the box.
     x, radius : (n, 2), (n,)
         Centres, strictly inside if the box has walls, and radii.
-    spacing : float, optional
-        Distance of nodes for the fluid where there are no particles [m]; None for no such nodes.
+    spacing : float or (float, float), optional
+        Distance of nodes for the fluid where there are no particles [m]; two: beside particles and
+        walls, and far from them. None for no such nodes.
 
     Returns
     -------
@@ -244,13 +328,15 @@ def bounded(box: Box, x: Float, radius: Float, spacing: float | None = None) -> 
         A centre outside, two at one place, a disc hidden behind others, a spacing that is not
         positive.
     """
-    rows = columns = 0
+    two = np.full(2, np.inf)
     if spacing is not None:
-        if not (isfinite(spacing) and spacing > 0.0):
-            raise InputError(f"spacing {spacing:g} m of fluid nodes must be a positive number")
-        rows, columns = _count(box, spacing)
-    nodes = np.vstack([x, _on_walls(box, radius, spacing)])
-    return _made(box, nodes, radius, _candidates(box, rows, columns), rows, columns)
+        two[:] = spacing
+        if not (np.isfinite(two).all() and 0.0 < two[0] <= two[1]):
+            raise InputError(
+                f"spacing {spacing} m of fluid nodes must be a positive number, or two that ascend"
+            )
+    nodes = np.vstack([x, _on_walls(box, radius, float(two[0]))])
+    return _made(box, nodes, radius, two)
 
 
 def alone(box: Box, x: Float, radius: Float, reach: float) -> Bounded:
@@ -280,27 +366,26 @@ def alone(box: Box, x: Float, radius: Float, reach: float) -> Bounded:
         margin = max(margin, 0.02 * float(box.size.max()))  # else they were too many
         around = _around(box.size + 2.0 * margin, margin)
         points = np.vstack([x, around - margin])
-    return _made(box, points, radius, np.empty((0, 2)), 0, 0)
+    return _made(box, points, radius, np.full(2, np.inf))
 
 
-def _made(
-    box: Box, used: Float, radius: Float, candidates: Float, rows: int, columns: int
-) -> Bounded:
+def _made(box: Box, used: Float, radius: Float, spacing: Float) -> Bounded:
     """The triangulation of points in use, the first of which are discs, made from nothing."""
-    points = np.vstack([used, candidates])
+    inside = ceil(SPARE * box.area / (sqrt(0.75) * spacing[0] ** 2))
+    points = np.vstack([used, np.zeros((inside, 2))])
     weight = np.zeros(len(points))
     weight[: len(radius)] = radius**2
     none = np.empty((0, 3), np.int32)
     mesh = Bounded(
         box, points, weight, none, none, np.empty((0, 3, 2), np.int32),
-        in_use=np.arange(len(points)) < len(used), rows=rows, columns=columns,
+        in_use=np.arange(len(points)) < len(used), spacing=spacing, inside=inside,
     )  # fmt: skip
     mesh.renew(used[: len(radius)].copy())
     mesh.flips = mesh.made = 0
     return mesh
 
 
-def _on_walls(box: Box, radius: Float, spacing: float | None) -> Float:
+def _on_walls(box: Box, radius: Float, spacing: float) -> Float:
     """Nodes on walls (k, 2) [m], the four corners first."""
     if box.periodic:
         return np.empty((0, 2))
@@ -308,9 +393,7 @@ def _on_walls(box: Box, radius: Float, spacing: float | None) -> Float:
         WALL_SPACING * 2.0 * float(radius.mean()),
         WALL_SPACING_DILUTE * sqrt(box.area / len(radius)),
     )
-    if spacing is not None:
-        aim = min(aim, spacing)
-    return _around(box.size, aim)
+    return _around(box.size, min(aim, spacing))
 
 
 def _around(size: Float, pitch: float) -> Float:
@@ -325,54 +408,6 @@ def _around(size: Float, pitch: float) -> Float:
             line[:, axis] = along
             nodes.append(line)
     return np.vstack(nodes)
-
-
-def _count(box: Box, spacing: float) -> tuple[int, int]:
-    """Rows and columns of a lattice that fits into the box, its pitch near `spacing` [m]."""
-    width, height = box.size / spacing
-    if box.periodic:
-        return 2 * max(1, round(0.5 * height / RISE)), max(1, round(width))
-    return max(0, round((height - 1.0) / RISE + 1.0)), max(0, round(width - 0.5))
-
-
-def _pitch(box: Box, rows: int, columns: int) -> Float:
-    """Distance of columns and of rows [m], (2,): with walls, these are half a spacing away."""
-    if box.periodic:
-        return np.array([box.width / columns, box.height / rows])
-    return np.array([box.width / (columns + 0.5), box.height / (rows - 1.0 + 1.0 / RISE)])
-
-
-def _candidates(box: Box, rows: int, columns: int) -> Float:
-    """Sites of the lattice (k, 2) [m], row by row; odd rows are half a pitch further on."""
-    if rows * columns == 0:
-        return np.empty((0, 2))
-    pitch = _pitch(box, rows, columns)
-    row, column = np.divmod(np.arange(rows * columns), columns)
-    return pitch * np.stack([column + 0.5 * (row % 2) + 0.5, row + 0.5 / RISE], axis=1)
-
-
-@njit(cache=True)
-def _clearance(x, radius, periodic, rows, columns, origin, pitch, most):  # type: ignore[no-untyped-def]
-    """Eq. (1) for the candidates, the first at `origin`; inf where it is more than `most`."""
-    g = np.full(rows * columns, np.inf)
-    for i in range(len(x)):
-        reach = radius[i] + most
-        low = ceil((x[i, 1] - reach - origin[1]) / pitch[1])
-        high = floor((x[i, 1] + reach - origin[1]) / pitch[1])
-        if not periodic:
-            low, high = max(low, 0), min(high, rows - 1)
-        for row in range(low, high + 1):
-            start = origin[0] + 0.5 * (row % 2) * pitch[0]
-            dy = origin[1] + row * pitch[1] - x[i, 1]
-            left = ceil((x[i, 0] - reach - start) / pitch[0])
-            right = floor((x[i, 0] + reach - start) / pitch[0])
-            if not periodic:
-                left, right = max(left, 0), min(right, columns - 1)
-            for column in range(left, right + 1):
-                dx = start + column * pitch[0] - x[i, 0]
-                c = (row % rows) * columns + column % columns
-                g[c] = min(g[c], sqrt(dx * dx + dy * dy) - radius[i])  # Eq. (1)
-    return g
 
 
 @njit(cache=True)

@@ -23,6 +23,7 @@ from grainmesh.keys import (
     Section,
     Size,
     Slope,
+    Spacing,
     Span,
     Speed,
     Time,
@@ -157,8 +158,10 @@ class FluidSection(Section):
     reach: Annotated[Pure, Field(gt=0)] = Field(
         3.0, description="A particle is spread over this radius at most, in largest diameters."
     )
-    spacing: Size | None = Field(
-        None, description="Distance of nodes where no particles are [m]; none if not given."
+    spacing: Spacing | None = Field(
+        None,
+        description="Distance of nodes where no particles are [m], or two, beside particles and "
+        "far from them; no nodes if not given.",
     )
     torque: Flag = Field(True, description="Viscous torque on each particle.")
     added_mass: NotNegative = Field(0.0, description="Coefficient of the added mass.")
