@@ -234,9 +234,14 @@ def _pair_forces(s, law, near, offset, rolling, ledger, dt, lead):  # type: igno
         inverse = 1.0 / distance
         nx, ny, o = dx * inverse, dy * inverse, reach - distance
         hx, hy = s[i, HX] - s[j, HX], s[i, HY] - s[j, HY]
+        un = hx * nx + hy * ny
+        if ledger is None and o <= 0.0 and o <= un * dt:  # apart, now and a step ago
+            old[e, Q] = 0.0
+            if rolling is not None:
+                old[e, QR] = 0.0
+            continue
         vx, vy = s[i, VX] - s[j, VX], s[i, VY] - s[j, VY]
-        un, vn = hx * nx + hy * ny, vx * nx + vy * ny
-        ht = hy * nx - hx * ny
+        vn, ht = vx * nx + vy * ny, hy * nx - hx * ny
         lever, spins = distance / reach, s[i, HS] + s[j, HS]
         turn = 0.5 * un * dt * (ht * inverse - spins / reach)  # half of what n and lever turn
         ut = ht + lever * spins - turn
