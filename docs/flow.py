@@ -322,7 +322,8 @@ class Flow:
         for _ in range(2):
             if self.factor is None:
                 self.factor = preconditioner(op, sought)
-            delta, _, left = gmres(lambda z: op.apply(z) * sought, self.factor, r, goal, 30)
+            delta, _, rest = gmres(lambda z: op.apply(z) * sought, self.factor, r, goal, 30)
+            left = np.linalg.norm(rest)
             if left <= goal:
                 x += delta
                 op.completed(f, x)

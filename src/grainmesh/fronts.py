@@ -73,6 +73,11 @@ class Fronts:
         Of the triangles [m].
     pivot : float, optional
         Share of the pressures' own stiffness in Eq. (2).
+
+    Attributes
+    ----------
+    unknown : (k,)
+        Unknowns sought, in the order of elimination.
     """
 
     def __init__(
@@ -89,10 +94,10 @@ class Fronts:
         low, high = (pick(pick(a, b), c) for pick in (np.minimum, np.maximum))
         order = halved(low, high, depth)
         *self._plan, at, room = _plan(rows, order, depth, sought, first)
-        panel, unknown = self._plan[:2]
+        panel, self.unknown = self._plan[:2]
         self._parts = len(panel) - 1
         self._panels = np.empty(panel[-1], np.float32)
-        self._pivots, heap = np.empty(len(unknown), np.float32), np.empty(room, np.float32)
+        self._pivots, heap = np.empty(len(self.unknown), np.float32), np.empty(room, np.float32)
         about = (
             K, rows, order, depth, first, pivot, at, heap,
             self._panels, self._pivots, *self._plan,
@@ -102,9 +107,15 @@ class Fronts:
 
     def solve(self, f: Float) -> Float:
         """What K x = f about has as solution (N,), 0 where nothing is sought."""
+        x, y = np.zeros(len(f)), f[self.unknown].astype(np.float32)
+        self.divide(y)
+        x[self.unknown] = y
+        return x
+
+    def divide(self, y: NDArray[np.float32]) -> None:
+        """The same in place, for the unknowns in the order of elimination (k,)."""
         about, last = (self._panels, *self._plan), (self._parts - 1, self._parts)
-        _, unknown, start, *_ = self._plan
-        y = f[unknown].astype(np.float32)
+        start = self._plan[2]
         top = np.zeros((2, len(y) - start[-2]), np.float32)
         self._halves(_forward, (y, top[0], *about), (y, top[1], *about))
         y[start[-2] :] += top[0] + top[1]
@@ -112,9 +123,6 @@ class Fronts:
         y *= self._pivots
         _backward(*last, y, *about)
         self._halves(_backward, (y, *about), (y, *about))
-        x = np.zeros(len(f))
-        x[unknown] = y
-        return x
 
     def _halves(self, call: Callable[..., None], one: Any, other: Any) -> None:
         """Do the parts of both halves of the mesh, at once if they are large."""

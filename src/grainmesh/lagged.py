@@ -40,21 +40,24 @@ class Lagged:
     def __init__(self, factor: Fronts, sought: Mask, names: Int) -> None:
         kept = np.flatnonzero(sought)
         order = np.argsort(names[kept])
-        self._factor, self._size = factor, len(sought)
-        self._place, self._names = kept[order], names[kept][order]
+        # What is held at zero has a place, too, beyond all others.
+        place = np.full(len(sought), len(factor.unknown))
+        place[factor.unknown] = np.arange(len(factor.unknown))
+        self._factor, self._place, self._names = factor, place[kept][order], names[kept][order]
 
-    def preconditioner(self, sought: Mask, names: Int, diagonal: Float) -> Apply:
-        """About K⁻¹ for the unknowns sought, of these names, with this diagonal (N,)."""
-        known = np.flatnonzero(sought)
-        place = np.searchsorted(self._names, names[known]).clip(max=len(self._names) - 1)
-        there = self._names[place] == names[known]
-        new, known, place = known[~there], known[there], self._place[place[there]]
-        share = 1.0 / diagonal[new]
+    def preconditioner(self, names: Int, diagonal: Float) -> Apply:
+        """About K⁻¹ for unknowns of these names (k,), with this diagonal (k,)."""
+        place = np.searchsorted(self._names, names).clip(max=len(self._names) - 1)
+        there = self._names[place] == names
+        new, known, place = ~there, np.flatnonzero(there), self._place[place[there]]
+        share, size = 1.0 / diagonal[new], len(self._factor.unknown)
 
         def apply(r: Float) -> Float:
-            f, z = np.zeros(self._size), np.zeros_like(r)
-            f[place] = r[known]
-            z[known] = self._factor.solve(f)[place]
+            y, z = np.zeros(size + 1, np.float32), np.empty_like(r)
+            y[place] = r[known]
+            self._factor.divide(y[:size])
+            y[size] = 0.0
+            z[known] = y[place]
             z[new] = share * r[new]
             return z
 
@@ -67,8 +70,10 @@ def gmres(
     f: Float,
     tolerance: float,
     most: int,
-) -> tuple[Float, int, float]:
-    """Solution from zero by preconditioned GMRES, iterations, and |residual|.
+) -> tuple[Float, int, Float]:
+    """Solution from zero by preconditioned GMRES, iterations, and the residual (N,).
+
+    The residual is f less what `apply` has made of the vectors that the solution is a sum of.
 
     Parameters
     ----------
@@ -87,32 +92,36 @@ def gmres(
     """
     size = norm(f)
     if size <= tolerance or not np.isfinite(size):
-        return np.zeros_like(f), 0, size
-    basis, kept = np.empty((most + 1, len(f))), []
+        return np.zeros_like(f), 0, f
+    basis, kept = np.empty((most + 1, len(f))), np.empty((most, len(f)))
     basis[0] = f / size
-    H, rotations, g = np.zeros((most + 1, most)), np.zeros((most, 2)), np.zeros(most + 1)
+    H, R = np.zeros((2, most + 1, most))  # apply(kept[j]) = sum_i H_ij basis[i]; rotated
+    rotations, g = np.zeros((most, 2)), np.zeros(most + 1)
     g[0] = size
     for j in range(most):
-        kept.append(precondition(basis[j]))
+        kept[j] = precondition(basis[j])
         w = apply(kept[j])
         H[: j + 1, j] = _orthogonalise(basis[: j + 1], w)
         H[j + 1, j] = norm(w)
         if not np.isfinite(H[j + 1, j]):
-            return np.zeros_like(f), j + 1, np.inf
+            return np.zeros_like(f), j + 1, np.full_like(f, np.inf)
+        R[: j + 2, j] = H[: j + 2, j]
         for i, (cos, sin) in enumerate(rotations[:j]):
-            H[i : i + 2, j] = cos * H[i, j] + sin * H[i + 1, j], cos * H[i + 1, j] - sin * H[i, j]
-        length = float(np.hypot(H[j, j], H[j + 1, j]))
+            R[i : i + 2, j] = cos * R[i, j] + sin * R[i + 1, j], cos * R[i + 1, j] - sin * R[i, j]
+        length = float(np.hypot(R[j, j], R[j + 1, j]))
         if length == 0.0:
             break
-        rotations[j] = H[j, j] / length, H[j + 1, j] / length
+        rotations[j] = R[j, j] / length, R[j + 1, j] / length
         basis[j + 1] = w / H[j + 1, j] if H[j + 1, j] > 0.0 else w
-        H[j, j], H[j + 1, j] = length, 0.0
+        R[j, j], R[j + 1, j] = length, 0.0
         g[j], g[j + 1] = rotations[j, 0] * g[j], -rotations[j, 1] * g[j]
         if abs(g[j + 1]) <= tolerance:
             break
-    count = len(kept)
-    y = solve_triangular(H[:count, :count], g[:count])
-    return sum(c * z for c, z in zip(y, kept, strict=True)), count, abs(float(g[count]))
+    count = j + 1
+    y = solve_triangular(R[:count, :count], g[:count])
+    left = -H[: count + 1, :count] @ y
+    left[0] += size
+    return _combined(kept[:count], y), count, _combined(basis[: count + 1], left)
 
 
 # Not by BLAS, whose threads would wait for each other, and spin.
@@ -123,6 +132,17 @@ def norm(x: Float) -> float:
     for value in x:
         total += value * value
     return float(np.sqrt(total))
+
+
+@njit(cache=True)
+def _combined(vectors: Float, shares: Float) -> Float:
+    """Sum of vectors (j, N) times shares (j,)."""
+    found = np.zeros(vectors.shape[1])
+    for j in range(len(shares)):
+        share = shares[j]
+        for i in range(len(found)):
+            found[i] += share * vectors[j, i]
+    return found
 
 
 @njit(cache=True, fastmath={"reassoc", "contract"})

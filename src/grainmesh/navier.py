@@ -450,9 +450,10 @@ class Operator:
             whole = self.source()
             f = self.condensed(whole)
             goal = MOBILITY_TOLERANCE * norm(f[sought])
-            x, _, left = gmres(
+            x, _, rest = gmres(
                 lambda z: self.apply(z) * sought, precondition, f * sought, goal, MOST
             )
+            left = norm(rest)
             if left > goal:
                 raise RuntimeError(
                     f"linear solver: residual {left / goal * MOBILITY_TOLERANCE:.1e}"

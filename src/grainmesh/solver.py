@@ -103,28 +103,37 @@ class Solver:
         RunError
             If it does not converge.
         """
-        sought = op.sought
-        scale = np.where(np.arange(len(sought)) < op.split, 1.0, unit) * sought
-        level = (
-            op.split + np.flatnonzero(op.topology.used) if op.floating else np.empty(0, np.int64)
-        )
+        some = np.flatnonzero(op.sought)
+        scale = np.where(some < op.split, 1.0, unit)
+        ends = [op.split, op.split + (op.topology.count if op.floating else 0)]
+        level = slice(*np.searchsorted(some, ends))  # pressures whose mean is to be 0
+
+        def apply(z: Float) -> Float:
+            x = np.zeros_like(f)
+            x[some] = scale * z
+            found: Float = scale * op.apply(x)[some]
+            return found
+
         f, x = op.condensed(f), op.x
-        if len(level):  # what is to come into a closed box, by round-off or so, has no place in it
-            f[level] -= f[level].mean()
-        r = scale * (f - op.apply(x))
-        size, wrong = norm(scale * f), norm(r)
+        # What is to come into a closed box, by round-off or so, has no place in it.
+        wanted = scale * _levelled(f[some], level)
+        r = wanted - scale * op.apply(x)[some]
+        size, wrong = norm(wanted), norm(r)
         if not np.isfinite(size + wrong):
             raise RunError("the flow is not finite: forces have blown up, or steps are too long")
         goal = max(tolerance * max(wrong, SMALL * size), ROUND_OFF * size, 1e-300)
+        names, diagonal = op.names[some], op.diagonal[some]
         for attempt in range(2):
             fresh = self._factor is None or attempt == 1
             if fresh:
                 self._make(op, points)
             assert self._factor is not None
-            first = self._factor.preconditioner(sought, op.names, op.diagonal)
-            apply, precondition = _scaled(op.apply, _levelled(first, level), scale)
-            delta, self.iterations, _ = gmres(apply, precondition, r, goal, MOST)
-            rest = r - apply(delta)
+            divide = self._factor.preconditioner(names, diagonal)
+
+            def precondition(r: Float, divide: Apply = divide) -> Float:
+                return _levelled(divide(r / scale), level) / scale
+
+            delta, self.iterations, rest = gmres(apply, precondition, r, goal, MOST)
             left = norm(rest)
             if left <= max(2.0 * goal, 100.0 * ROUND_OFF * size):
                 break
@@ -139,10 +148,11 @@ class Solver:
         self.spent, self.since = self.spent + self.iterations, self.since + 1
         if self.iterations * self.since > self.spent:
             self.forget()
-        x = _levelled(lambda x: x, level)(x + scale * delta)
+        x[some] = _levelled(x[some] + scale * delta, level)
         op.completed(f, x)
         op.x = x
-        residual: Float = np.divide(rest, scale, out=np.zeros_like(rest), where=scale > 0.0)
+        residual = np.zeros_like(f)
+        residual[some] = rest / scale
         return residual
 
     def _make(self, op: Operator, points: Float) -> None:
@@ -153,23 +163,11 @@ class Solver:
         self.recipe |= {key: getattr(op, key).copy() for key in FIELDS}
 
 
-def _levelled(solve: Apply, level: NDArray[np.int64]) -> Apply:
-    """The same with a mean of 0 over some unknowns, if there are any."""
-    if len(level) == 0:
-        return solve
-
-    def levelled(f: Float) -> Float:
-        x = solve(f)
+def _levelled(x: Float, level: slice) -> Float:
+    """x, from which the mean over a part is taken in place, if that is not empty."""
+    if level.start < level.stop:
         x[level] -= x[level].mean()
-        return x
-
-    return levelled
-
-
-def _scaled(apply: Apply, precondition: Apply, scale: Float) -> tuple[Apply, Apply]:
-    """D K D and D⁻¹ P D⁻¹, with 0 where the scale D is."""
-    back = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0.0)
-    return lambda z: scale * apply(scale * z), lambda r: back * precondition(back * r)
+    return x
 
 
 __all__ = ["Solver"]
