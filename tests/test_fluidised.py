@@ -1,5 +1,7 @@
 """A bed of discs on a grid, flow from below: its law at rest, its weight once it is lifted."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -22,16 +24,16 @@ def fluid(inflow, **options):
     return Fluid(RHO, MU, Permeability(LAW), sides, spacing=2.0 * D, **options)
 
 
-def model(box, flow=None):
+def model(box, flow=None, contact=CONTACT):
     smooth = tuple(gm.Wall.of(box, side, friction=0.0) for side in ("left", "right"))
-    return gm.Model(box, CONTACT, walls=smooth, fluid=flow)
+    return gm.Model(box, contact, walls=smooth, fluid=flow)
 
 
-def settled(columns, n):
+def settled(columns, n, contact=CONTACT):
     """Box and discs that have come to rest in it, dry."""
     box = gm.Box(columns * D, 3.0 * n / columns * D)
     grains = gm.arrange.loose(box, n, diameter=D, density=HEAVY, seed=1)
-    dry = gm.Simulation(model(box), grains).run(until=0.6)
+    dry = gm.Simulation(model(box, contact=contact), grains).run(until=0.6)
     assert dry.energies["kinetic"] < 1e-6 * dry.energies["potential"]
     assert dry.measure()["overlap"] < 0.01
     return box, dry.particles
@@ -143,25 +145,28 @@ def test_fluidised_bed(bed):
 
 
 @pytest.mark.slow
-def test_pressure_bears_a_deep_bed():
-    """27 rows: what the lowest leave to the floor, being looser at it, is no longer much."""
-    box, grains = settled(12, 324)
-    least, load, each = fluidising(box, grains), weight(box, grains), 0.2
+@pytest.mark.parametrize("friction", [0.0, 0.1])
+def test_pressure_bears_a_deep_bed(friction):
+    """27 rows: from 1.5 U_mf; with friction, which holds discs on the floor, from 1.75."""
+    contact = replace(CONTACT, friction=friction)
+    box, grains = settled(12, 324, contact)
+    least, load, each = fluidising(box, grains), weight(box, grains), 0.3
+    levels = 0.75, 1.25, 1.5, 1.75, 2.0, 3.0
 
     def ramp(x, t):
-        level = (0.75, 1.5, 1.75, 2.0)[min(int(t / each), 3)]
+        level = levels[min(int(t / each), len(levels) - 1)]
         return np.column_stack([np.zeros(len(x)), np.full(len(x), level * least)])
 
-    run, rows = gm.Simulation(model(box, fluid(ramp, dt=1e-3)), grains), []
+    run, rows = gm.Simulation(model(box, fluid(ramp, dt=1e-3), contact), grains), []
 
     def observe(now):
         rows.append([now.t, drop(now) / load, borne(now)])
 
-    run.run(until=4.0 * each, every=0.01, observe=observe)
+    run.run(until=len(levels) * each, every=0.01, observe=observe)
     t, pressure, floor = np.array(rows).T
     late = np.abs(t / each % 1.0 - 0.7) < 0.27  # not where the flow has just been raised
-    at_rest, flowing = late & (t < each), late & (t > each)
-    assert 0.75 / pressure[at_rest].mean() == pytest.approx(1.0, rel=0.05)
-    assert (pressure + floor)[flowing].mean() == pytest.approx(1.0, rel=0.005)
-    assert pressure[flowing].mean() == pytest.approx(1.0, rel=0.03)
-    assert pressure[late & (t > 3.0 * each)].mean() == pytest.approx(1.0, rel=0.02)
+    found = {q: pressure[late & (t // each == k)].mean() for k, q in enumerate(levels)}
+    assert 0.75 / found[0.75] == pytest.approx(1.0, rel=0.05)
+    assert (pressure + floor)[late & (t > each)].mean() == pytest.approx(1.0, rel=0.005)
+    for q in levels[2 if friction == 0.0 else 3 :]:
+        assert found[q] == pytest.approx(1.0, rel=0.03)
