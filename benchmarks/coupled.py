@@ -57,7 +57,9 @@ def block(n: int, order: int) -> gm.Simulation:
     x, y = np.meshgrid((np.arange(nx) + 0.5) * pitch, box.height - (np.arange(ny) + 0.5) * pitch)
     grains = gm.Particles(np.column_stack([x.ravel(), y.ravel()]), d, 1500.0)
     sides = dict.fromkeys(("left", "right", "bottom", "top"), Slip())
-    fluid = Fluid(1000.0, 1e-3, "ergun-2d", sides, order=order, dt=5e-3, spacing=6.6 * d)
+    fluid = Fluid(
+        1000.0, 1e-3, "ergun-2d", sides, order=order, dt=5e-3, spacing=(6.6 * d, 30.0 * d)
+    )
     stiffness = excess * 9.81 * ny * np.pi / 4.0 * d / 0.013
     contact = gm.Contact(stiffness=stiffness, restitution=0.3, friction=0.3)
     lasts = contact.contact_time(1500.0 * np.pi * d**2 / 8.0)

@@ -142,6 +142,8 @@ def test_a_typo_in_every_key_of_every_starter(name, tmp_path, capsys):
         ("particles.density='2 mm'", 'particles.density: \'2 mm\' is of the wrong kind: expected'),
         ("particles.diameter=true", "particles.diameter: True is no quantity"),
         ("particles.diameter=[1e-3,2e-3,3e-3]", "particles.diameter: expected one diameter"),
+        ("fluid.spacing=['1 mm','2 mm',3]", "fluid.spacing: expected one distance, or two"),
+        ("fluid.spacing=['2 mm','1 mm']", "fluid.spacing: the first must not be above the second"),
         ("particles.diameter=-1e-3", "particles.diameter: -0.001 must be positive"),
         ("particles.number=1.5", "particles.number: 1.5 must be a whole number"),
         ("particles.number=0", "particles.number: 0 must be greater than or equal to 1"),
