@@ -1,8 +1,8 @@
 """The picture of theory/kernel.md: a block of discs falls, and nodes go along: python docs/nodes.py
 
 The same block twice, nodes two diameters apart everywhere and, far from discs and walls, up to
-eight. Printed: nodes of the fluid at the end, flips, steps that were halved, and how far the middles
-of the two clouds are from each other.
+eight. Printed: nodes of the fluid at the end, flips, steps that were halved, and how far apart the
+middles of the two clouds are.
 """
 
 from pathlib import Path
