@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from time import sleep
@@ -372,6 +373,8 @@ def test_ctrl_c_of_a_process(tmp_path):
             [sys.executable, "-m", "grainmesh.cli", "permeability", str(pipe)],
             stderr=subprocess.PIPE,
             text=True,
+            # what runs in the background of a shell would inherit an ignored SIGINT
+            preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),
         ) as running,
         pipe.open("w"),
     ):  # returns once the program has opened the other end
