@@ -102,6 +102,15 @@ def test_gmres_tells_the_residual_where_there_is_no_solution():
     assert np.linalg.norm(f - A @ z - rest) < 1e-9 * (1.0 + np.linalg.norm(z))
 
 
+@pytest.mark.parametrize("rank", [0, 1, 2])
+def test_gmres_breaks_down_with_what_it_has(rank):
+    A = np.diag(np.ones(rank), -1)[: rank + 1, : rank + 1]  # a shift, at last of nothing
+    f = np.eye(rank + 1)[0]
+    z, _, rest = gmres(lambda v: A @ v, lambda v: v, f, 1e-12, 5)
+    assert np.linalg.norm(f - A @ z - rest) < 1e-15
+    assert np.linalg.norm(rest) == 1.0
+
+
 def test_unknowns_may_be_numbered_anew():
     op, rng = operator(), np.random.default_rng(2)
     names, diagonal = np.flatnonzero(op.sought), op.diagonal[op.sought]

@@ -73,7 +73,8 @@ def gmres(
 ) -> tuple[Float, int, Float]:
     """Solution from zero by preconditioned GMRES, iterations, and the residual (N,).
 
-    The residual is f less what `apply` has made of the vectors that the solution is a sum of.
+    The residual is f less what `apply` has made of the vectors that the solution is a sum of: it is
+    true, to round-off of that sum, whether or not the tolerance is reached.
 
     Parameters
     ----------
@@ -109,7 +110,7 @@ def gmres(
         for i, (cos, sin) in enumerate(rotations[:j]):
             R[i : i + 2, j] = cos * R[i, j] + sin * R[i + 1, j], cos * R[i + 1, j] - sin * R[i, j]
         length = float(np.hypot(R[j, j], R[j + 1, j]))
-        if length == 0.0:
+        if length == 0.0:  # `apply` is singular: the vectors before are of use
             break
         rotations[j] = R[j, j] / length, R[j + 1, j] / length
         basis[j + 1] = w / H[j + 1, j] if H[j + 1, j] > 0.0 else w
@@ -117,11 +118,11 @@ def gmres(
         g[j], g[j + 1] = rotations[j, 0] * g[j], -rotations[j, 1] * g[j]
         if abs(g[j + 1]) <= tolerance:
             break
-    count = j + 1
-    y = solve_triangular(R[:count, :count], g[:count])
+    count = j + 1 if length > 0.0 else j
+    y = solve_triangular(R[:count, :count], g[:count]) if count else g[:0]
     left = -H[: count + 1, :count] @ y
     left[0] += size
-    return _combined(kept[:count], y), count, _combined(basis[: count + 1], left)
+    return _combined(kept[:count], y), j + 1, _combined(basis[: count + 1], left)
 
 
 # Not by BLAS, whose threads would wait for each other, and spin.

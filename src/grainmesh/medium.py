@@ -163,7 +163,9 @@ class Fluid:
             value = getattr(self, name)
             if value is None and name in ("dt", "spacing"):
                 continue
-            if name == "spacing" and isinstance(value, (tuple, list, np.ndarray)):
+            if name == "spacing" and isinstance(value, np.ndarray) and value.ndim:
+                value = value.tolist()
+            if name == "spacing" and isinstance(value, (tuple, list)):
                 value = _pair("fluid: spacing", value, "m")
                 object.__setattr__(self, "spacing", value)
                 if value[0] > value[1]:
