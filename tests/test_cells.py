@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import Voronoi
 
-from grainmesh.cells import cells, wrapped
+from grainmesh.cells import cells
 from grainmesh.domain import Box
 from grainmesh.errors import InputError
 from grainmesh.particles import Particles
@@ -209,7 +209,7 @@ def test_points_on_one_line_and_far_from_square_boxes():
 
 def test_wrapping_never_leaves_the_box():
     box = Box(0.1, 0.3, periodic=True)
-    x = wrapped(box, np.array([[-1e-20, 0.3], [0.1, -0.1], [0.05, 7.0]]))
+    x = box.wrapped(np.array([[-1e-20, 0.3], [0.1, -0.1], [0.05, 7.0]]))
     assert (x >= 0).all()
     assert (x < box.size).all()
 

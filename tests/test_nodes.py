@@ -311,6 +311,33 @@ def test_angles_stay_wide_however_the_particles_move():
     assert least > np.degrees(np.arcsin(0.5 * NEAR / ROOM)) - 1e-6
 
 
+@pytest.mark.parametrize("make", [arrange.square, arrange.hexagonal])
+@pytest.mark.parametrize("spacing", [1.0, 1.5, (1.0, 4.0)])
+def test_a_periodic_lattice_has_nodes(make, spacing):
+    """Whose open places lie at the edges of the box, to round-off on one side or the other."""
+    for n, porosity in ((2, 0.8), (3, 0.9), (4, 0.85), (5, 0.95), (6, 0.8)):
+        box, lattice = make(n, 2 * (n // 2), porosity=porosity, diameter=1e-3)
+        two = tuple(1e-3 * np.broadcast_to(spacing, 2))
+        is_mended(bounded(box, lattice.x, lattice.radius, two))
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+@pytest.mark.parametrize("n", [1, 40])
+def test_numbers_are_enough_and_not_many_more(n, periodic):
+    for near, far in ((1.0, 1.0), (1.0, 8.0), (0.3, 30.0)):
+        rng = np.random.default_rng(n)
+        box, radius = Box(40.0, 40.0, periodic), np.full(n, 0.3)
+        x = rng.uniform(1.0, 39.0, (n, 2))
+        mesh = bounded(box, x, radius, (near, far))
+        for _ in range(20):
+            x = walk(box, x, radius, 0.3, rng)
+            mesh.move(x)
+            mesh.mend()
+            assert len(inside(mesh)) < 0.9 * mesh.inside
+        if n == 1:
+            assert 4.0 * len(inside(mesh)) > mesh.inside
+
+
 def test_when_numbers_run_out_no_node_comes_in():
     box, x, radius = discs(20, 13, 1.0, False, porosity=0.98)
     mesh = bounded(box, x, radius, 2.0)
@@ -448,6 +475,10 @@ def test_what_cannot_be_is_refused():
     for spacing in (0.0, -1.0, np.nan, np.inf, (2.0, 1.0), (0.0, 1.0), (1.0, np.nan)):
         with pytest.raises(InputError, match="spacing"):
             bounded(box, x, radius, spacing)
+    for spacing in (1e-300, (1e-200, 1.0), (5e-324, 1e300), 1e-4):
+        with pytest.raises(InputError, match=r"a spacing of .* nodes in this box: check the unit"):
+            bounded(box, x, radius, spacing)
+    assert bounded(box, x, radius, 1e100).inside == 1
     for bad in ([-0.1, 1.0], [0.0, 1.0], [1.0, box.height], [np.nan, 1.0]):
         y = x.copy()
         y[5] = bad

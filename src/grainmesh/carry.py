@@ -300,24 +300,21 @@ class Finder:
         corners = on.places(points, which)
         self.middle = corners.mean(axis=1)
         self.size = on.box.size if on.box.periodic else None
-        self.tree = cKDTree(self._inside(self.middle), boxsize=self.size)
+        self.tree = cKDTree(self.box.wrapped(self.middle), boxsize=self.size)
         edge = corners[:, 1:] - corners[:, :1]
         self.inverse = np.linalg.inv(np.swapaxes(edge, 1, 2))
         self.reach = np.hypot(*np.moveaxis(corners - self.middle[:, None], 2, 0)).max(axis=1)
 
-    def _inside(self, x: Float) -> Float:
-        return x if self.size is None else np.mod(x, self.size)
-
     def __call__(self, places: Float) -> tuple[Int, Float]:
         """Triangles (q,) that hold places (q, 2) [m] best, and barycentric coordinates (q, 3)."""
         near = min(NEAREST, len(self.which))
-        t = self.tree.query(self._inside(places), k=near)[1].reshape(-1, near)
+        t = self.tree.query(self.box.wrapped(places), k=near)[1].reshape(-1, near)
         weight = self._weights(t, self.box.separation(self.middle[t], places[:, None]))
         best, row = np.argmax(weight.min(axis=-1), axis=1), np.arange(len(places))
         t, weight = t[row, best], weight[row, best]
         lost = np.flatnonzero(weight.min(axis=1) < -OUTSIDE)  # beside much smaller triangles
         if len(lost):
-            self._search(self._inside(places[lost]), lost, t, weight)
+            self._search(self.box.wrapped(places[lost]), lost, t, weight)
         return self.which[t], weight
 
     def _weights(self, t: Int, offset: Float) -> Float:

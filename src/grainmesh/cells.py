@@ -106,7 +106,7 @@ def cells(box: Box, particles: Particles) -> Cells:
     """
     radius = particles.radius
     window = np.array([[0.0, 0.0], box.size])
-    found = diagram(box, wrapped(box, particles.x), radius**2, radius, window)
+    found = diagram(box, box.wrapped(particles.x), radius**2, radius, window)
     if abs(found.area.sum() - box.area) > 1e-9 * box.area:
         raise InputError(
             "the cells of the particles do not fill the box: two particles share a centre, remove "
@@ -115,14 +115,6 @@ def cells(box: Box, particles: Particles) -> Cells:
     found.area.setflags(write=False)
     found.solid.setflags(write=False)
     return Cells(found.area, found.solid)
-
-
-def wrapped(box: Box, x: Float) -> Float:
-    """Points `x` [m], (n, 2), moved into the box if it is periodic."""
-    if not box.periodic:
-        return x
-    inside = np.mod(x, box.size)
-    return np.where(inside >= box.size, 0.0, inside)  # a tiny negative x rounds up to the size
 
 
 def diagram(
@@ -326,4 +318,4 @@ def _diagram(x, weight, radius, period, periodic, window, a, b):  # type: ignore
     return area, solid, start, entries[:, 0].copy(), entries[:, 1:].copy()
 
 
-__all__ = ["Cells", "Diagram", "cells", "diagram", "wrapped"]
+__all__ = ["Cells", "Diagram", "cells", "diagram"]

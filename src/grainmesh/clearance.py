@@ -49,7 +49,7 @@ def sizes(points, radius, size, period, triangles, shifts, first, near, far):  #
 
 @njit(cache=True)
 def crowded(points, radius, size, period, triangles, shifts, first, h):  # type: ignore[no-untyped-def]
-    """Which nodes inside are to leave (m,); of two too near each other, the later."""
+    """Which nodes inside are to leave (m,); of two too near for either, the later."""
     out = np.zeros(len(points), np.bool_)
     for among_nodes in (False, True):
         for t in range(len(triangles)):
@@ -64,7 +64,8 @@ def crowded(points, radius, size, period, triangles, shifts, first, h):  # type:
                     if (u >= first) != among_nodes or (among_nodes and (u >= v or out[u])):
                         continue
                     dx, dy = _between(points, period, triangles, shifts, t, k, j)
-                    if dx * dx + dy * dy - radius[u] ** 2 < (NEAR * h[v]) ** 2:  # Eq. (2)
+                    least = NEAR * (max(h[u], h[v]) if among_nodes else h[v])
+                    if dx * dx + dy * dy - radius[u] ** 2 < least**2:  # Eq. (2)
                         out[v] = True
     return out
 

@@ -52,6 +52,13 @@ class Box:
         """Area [m2]."""
         return self.width * self.height
 
+    def wrapped(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points `x` [m], (n, 2), moved into the box if it is periodic."""
+        if not self.periodic:
+            return x
+        inside = np.mod(x, self.size)
+        return np.where(inside >= self.size, 0.0, inside)  # a tiny negative x rounds to the size
+
     def separation(self, a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
         """Vector from points `a` to points `b`, to the nearest image if periodic [m], (..., 2)."""
         r = b - a

@@ -29,8 +29,6 @@ Kept = tuple[Bounded, Bounded, Float, Solver, dict[str, Any]]
 
 #: Least porosity of a vertex.
 LEAST_POROSITY = 0.02
-#: Most nodes in open places.
-MANY = 1e6
 #: What is made anew in a step, not changed.
 REFERENCES = ("operator", "kernel", "fluid", "gravity", "_edges")
 #: What a checkpoint holds besides the mesh and the unknowns.
@@ -146,12 +144,6 @@ class Fields:
     ) -> None:
         self.box, self.fluid, self.discs = box, fluid, discs
         self.gravity = np.array(gravity)
-        s = fluid.spacing[0] if isinstance(fluid.spacing, tuple) else fluid.spacing
-        if s is not None and box.area > MANY * s**2:
-            raise InputError(
-                f"fluid: a spacing of {s:g} m makes {box.area / s**2:.1g} nodes in this box: check "
-                "the unit, or take a larger one"
-            )
         self.mesh = bounded(box, x, 0.5 * discs.diameter, fluid.spacing)
         self.bed = alone(box, x, 0.5 * discs.diameter, self._reach)
         n = len(x)

@@ -34,7 +34,7 @@ keep their numbers; those of nodes that have left are given away again, the olde
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil, sqrt
+from math import ceil, log, pi, sqrt
 from typing import Any
 
 import numpy as np
@@ -42,7 +42,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from grainmesh.clearance import carried, covered, crowded, openings, sizes
+from grainmesh.clearance import GROWTH, carried, covered, crowded, openings, sizes
 from grainmesh.domain import Box
 from grainmesh.errors import InputError
 from grainmesh.flips import insert, remove, repair
@@ -57,8 +57,8 @@ Spacing = float | tuple[float, float] | None
 #: Spacing of the nodes on walls, in mean diameters, and its least share of sqrt(area/n), the mean
 #: distance between particles.
 WALL_SPACING, WALL_SPACING_DILUTE = 2.0, 1.0 / 3.0
-#: Numbers for nodes inside, over how many a lattice of pitch s has.
-SPARE = 1.5
+#: Numbers for nodes inside, over how many are asked for, and most of these.
+SPARE, MANY = 1.5, 1e6
 
 
 @dataclass(kw_only=True)
@@ -156,7 +156,7 @@ class Bounded(Living):
         n, first = len(x), self.first
         self.points[:n] = x
         self._within(x)
-        free = self._free if free is None else free
+        free = self._free if free is None else free[~self.in_use[free]]
         nodes = self.points[first:]
         if not self.box.periodic:
             self.in_use[first:] &= ((nodes > 0.0) & (nodes < self.box.size)).all(axis=1)
@@ -241,8 +241,8 @@ class Bounded(Living):
             return places
         order = np.argsort(-room, kind="stable")
         places, wanted = places[order], wanted[order]
-        size = self.box.size if self.box.periodic else None
-        tree = cKDTree(places if size is None else np.mod(places, size), boxsize=size)
+        around = self.box.size if self.box.periodic else None
+        tree = cKDTree(self.box.wrapped(places), boxsize=around)
         taken = np.zeros(len(places), bool)
         for c, near in enumerate(tree.query_ball_point(tree.data, wanted)):
             taken[c] = not taken[near].any()
@@ -326,7 +326,7 @@ def bounded(box: Box, x: Float, radius: Float, spacing: Spacing = None) -> Bound
     ------
     InputError
         A centre outside, two at one place, a disc hidden behind others, a spacing that is not
-        positive.
+        positive or makes too many nodes.
     """
     two = np.full(2, np.inf)
     if spacing is not None:
@@ -335,8 +335,30 @@ def bounded(box: Box, x: Float, radius: Float, spacing: Spacing = None) -> Bound
             raise InputError(
                 f"spacing {spacing} m of fluid nodes must be a positive number, or two that ascend"
             )
+        count = _asked(box, radius, *two.tolist())
+        if not count < MANY:
+            raise InputError(
+                f"fluid: a spacing of {two[0]:g} m makes {count:.1g} nodes in this box: check the "
+                "unit, or take a larger one"
+            )
     nodes = np.vstack([x, _on_walls(box, radius, float(two[0]))])
     return _made(box, nodes, radius, two)
+
+
+def _asked(box: Box, radius: Float, near: float, far: float) -> float:
+    """How many nodes a lattice of pitch h has at most, however discs of radii (n,) [m] lie.
+
+    It has 2/√3 dA/h²: by Eq. (1) no more than with h = S everywhere and what each disc, where
+    dA = 2π (r + l) dl, and the walls would have alone; nor more than with h = s everywhere.
+    """
+    dense = box.area / near / near
+    if near < far:
+        wide, less = 1.0 / GROWTH, 1.0 / near - 1.0 / far
+        discs = (float(radius.sum()) - len(radius) * wide * near) * less
+        discs = 2.0 * pi * wide * (discs + len(radius) * wide * log(far / near))
+        walls = 0.0 if box.periodic else 2.0 * (box.width + box.height) * wide * less
+        dense = min(dense, box.area / far / far + discs + walls)
+    return dense / sqrt(0.75)
 
 
 def alone(box: Box, x: Float, radius: Float, reach: float) -> Bounded:
@@ -371,7 +393,7 @@ def alone(box: Box, x: Float, radius: Float, reach: float) -> Bounded:
 
 def _made(box: Box, used: Float, radius: Float, spacing: Float) -> Bounded:
     """The triangulation of points in use, the first of which are discs, made from nothing."""
-    inside = ceil(SPARE * box.area / (sqrt(0.75) * spacing[0] ** 2))
+    inside = ceil(SPARE * _asked(box, radius, *spacing.tolist()))
     points = np.vstack([used, np.zeros((inside, 2))])
     weight = np.zeros(len(points))
     weight[: len(radius)] = radius**2

@@ -115,11 +115,8 @@ def close_pairs(box: Box, particles: Particles, gap: float) -> NDArray[np.int64]
 
     A particle so close to its own periodic image is listed as the pair (i, i).
     """
-    x, r = particles.x, particles.radius
+    x, r = box.wrapped(particles.x), particles.radius
     reach = 2.0 * float(r.max()) + gap
-    if box.periodic:
-        x = np.mod(x, box.size)
-        x = np.where(x >= box.size, 0.0, x)
     # A tree over a torus needs reach below half the box; smaller boxes get their images in full.
     if box.periodic and reach >= 0.5 * float(box.size.min()):
         layers = np.ceil(reach / box.size).astype(int)
@@ -165,10 +162,7 @@ def settle(box: Box, particles: Particles) -> Particles:
         too large for a periodic box.
     """
     if box.periodic:
-        x = np.mod(particles.x, box.size)
-        particles = Particles(
-            np.where(x >= box.size, 0.0, x), particles.diameter, particles.density
-        )
+        particles = Particles(box.wrapped(particles.x), particles.diameter, particles.density)
     else:
         outside = np.flatnonzero(~touches(box, particles))
         if len(outside):

@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grainmesh import checkpoint, motion, pairs
-from grainmesh.cells import wrapped
 from grainmesh.coupling import Coupling, Discs
 from grainmesh.domain import SIDES
 from grainmesh.errors import InputError, RunError
@@ -246,7 +245,7 @@ class Simulation:
     @property
     def x(self) -> Float:
         """Centres [m], (n, 2), inside the box if it is periodic."""
-        return wrapped(self.model.box, self._users(self._s[:, :2]))
+        return self.model.box.wrapped(self._users(self._s[:, :2]))
 
     @property
     def velocity(self) -> Float:

@@ -39,7 +39,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from grainmesh.cells import Cells, diagram, wrapped
+from grainmesh.cells import Cells, diagram
 from grainmesh.domain import SIDES, Box
 from grainmesh.errors import InputError
 from grainmesh.particles import Particles
@@ -274,7 +274,7 @@ def triangulate(box: Box, particles: Particles, *, wall_nodes: bool = True) -> T
         A particle hidden behind others, or particles at one place.
     """
     if box.periodic:
-        particles = Particles(wrapped(box, particles.x), particles.diameter, particles.density)
+        particles = Particles(box.wrapped(particles.x), particles.diameter, particles.density)
     points, on_wall = np.array(particles.x), np.zeros(len(particles), dtype=bool)
     if wall_nodes and not box.periodic:
         points, on_wall = _at_walls(box, particles)
@@ -314,7 +314,7 @@ def enclose(box: Box, particles: Particles) -> tuple[Triangulation, Float]:
     """
     weight = particles.radius**2
     if box.periodic:
-        inside = Particles(wrapped(box, particles.x), particles.diameter, particles.density)
+        inside = Particles(box.wrapped(particles.x), particles.diameter, particles.density)
         return _connect(box, inside, np.array(inside.x), weight, whole=True), weight
     low, high = particles.x.min(axis=0), particles.x.max(axis=0)
     # Nodes farther away make large cells, slow to find; closer ones would be too many.
