@@ -221,6 +221,22 @@ def test_files_that_cannot_be_read(tmp_path):
         case.parse(listed, "c.toml").arrangement()
 
 
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ("fluid.spacing=2", "fluid.spacing: 2 m is far more than the box, 0.008 m x 0.008 m"),
+        ("contact.stiffness=1e28", "would take years: lower contact.stiffness"),
+        (
+            "walls.open=['top']",
+            'the fluid can, say fluid.sides = { top = "outlet" }',
+        ),
+    ],
+)
+def test_what_cannot_be_begun(change, said):
+    with pytest.raises(InputError, match=re.escape(said)):
+        case.parse(SMALL, "c.toml", [change]).simulation()
+
+
 # --- text and changes -----------------------------------------------------------------------------
 
 
@@ -417,6 +433,9 @@ def test_starters_of_the_command_line_are_there(tmp_path, capsys):
         assert "is there already" in capsys.readouterr().err
     assert cli.main(["new", str(tmp_path / "x"), "--starter", "setling"]) == 2
     assert "did you mean settling?" in capsys.readouterr().err
+    for name in ("", ".", ".toml", f"{tmp_path}/"):
+        assert cli.main(["new", name]) == 2
+        assert "must be that of a file" in capsys.readouterr().err
     assert len(list(tmp_path.iterdir())) == len(STARTERS)
 
 

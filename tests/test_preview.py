@@ -120,6 +120,18 @@ OFF = {
         (*SLOW, "fluid.sides.bottom={kind='inflow',velocity=[0,1e-6],ramp=[[0,0],[1,1]]}"),
         "flow into the box at t = 0.01 s and nothing the other way",
     ),
+    "inflow along its side": (
+        (*SLOW, "fluid.sides={bottom={kind='inflow',velocity=[1e-6,0]},top='outlet'}"),
+        "fluid.sides.bottom: nothing flows through the side, at most along it at 1e-06 m/s",
+    ),
+    "inflow of nothing": (
+        (*SLOW, "fluid.sides={top={kind='inflow',velocity=[0,1],ramp=[[0,0]]},left='outlet'}"),
+        "fluid.sides.top: nothing flows through the side",
+    ),
+    "inflow that draws": (
+        (*SLOW, "fluid.sides={bottom={kind='inflow',velocity=[0,-1e-6]},top='outlet'}"),
+        "all inflows draw fluid out",
+    ),
     "still fluid at a moving wall": (
         (*SLOW, "walls.top.velocity=[1e-3,0]", "fluid.sides.top={kind='no-slip',speed=2e-3}"),
         "walls.top.velocity: the fluid does not move with the wall",

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 from contextlib import contextmanager
+from shutil import copytree
 
 import numpy as np
 import pytest
@@ -31,7 +32,7 @@ stiffness = 1e4
 
 [fluid]
 density = 1000
-viscosity = 1e-3
+viscosity = 2e-3
 dt = "2 ms"
 drag = "hexagonal-lattice"
 
@@ -225,7 +226,7 @@ def test_folders_without_a_run_are_refused(file, tmp_path, capsys):
     assert "cannot write there" in refused(arguments, capsys)
     begun = case.read(file).simulation()
     begun.save(tmp_path / "plain")
-    with pytest.raises(gm.InputError, match="give the fluid"):
+    with pytest.raises(gm.InputError, match="no run of a case"):
         record.resume(tmp_path / "plain")
     dry(tmp_path / "dry").save(tmp_path / "other")
     (tmp_path / "other" / "x").touch()
@@ -234,6 +235,58 @@ def test_folders_without_a_run_are_refused(file, tmp_path, capsys):
     plain.save(tmp_path / "other")
     with pytest.raises(gm.InputError, match="no run of a case"):
         record.resume(tmp_path / "other")
+
+
+def test_only_one_process_writes_a_run(file, tmp_path, monkeypatch, capsys):
+    out, said = tmp_path / "out", []
+
+    def begin(self, last):
+        said.append(refused(["resume", str(out), "--quiet"], capsys))
+
+    begun = case.read(file).simulation()
+    monkeypatch.setattr(record._Output, "begin", begin)
+    record.record(begun, out, 0.002)
+    assert f"{out}: another process is writing this run" in said[0]
+
+
+def test_what_is_no_longer_as_the_run_left_it(undisturbed, tmp_path, capsys):
+    out = tmp_path / "out"
+    copytree(undisturbed, out)
+    go_on = ["resume", str(out), "--quiet", "--until", "0.032"]
+    (out / "case.toml").write_text(CASE.replace("5 mm/s", "6 mm/s"))
+    assert "case.toml: is not the case that the run was begun with" in refused(go_on, capsys)
+    (out / "case.toml").write_bytes(b"\xff")
+    assert "case.toml: is not the case that the run was begun with" in refused(go_on, capsys)
+    (out / "case.toml").unlink()
+    for name in (vtkhdf.FLOW, vtkhdf.DISCS):
+        frames = (out / name).rename(tmp_path / name)
+        assert f"{name}: is missing" in refused(go_on, capsys)
+        frames.rename(out / name)
+    assert main(go_on) == 0
+    assert (out / "case.toml").read_text() == CASE
+
+
+def test_a_log_that_cannot_be_leaves_nothing(file, tmp_path, capsys):
+    out, log = tmp_path / "out", tmp_path / "none" / "x.log"
+    said = refused(["run", str(file), "--out", str(out), "--quiet", "--log", str(log)], capsys)
+    assert "x.log: cannot be written" in said
+    assert not out.exists()
+
+
+def test_until_may_have_a_unit(file, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert main(["run", str(file), "--out", str(out), "--quiet", "--until", "2 ms"]) == 0
+    assert main(["resume", str(out), "--quiet", "--until", "3ms"]) == 0
+    assert record.resume(out, 0.004).t == pytest.approx(0.004, abs=1e-4)
+    for bad in ("-1", "nan", "2 mm", "long"):
+        said = refused(["resume", str(out), "--quiet", "--until", bad], capsys)
+        assert said.startswith("error: --until: ")
+
+
+def test_what_is_off_is_said_by_a_run_too(file, tmp_path, capsys):
+    thin = ["--set", "fluid.viscosity=1e-4", "--until", "1e-4", "--quiet"]
+    assert main(["run", str(file), "--out", str(tmp_path / "out"), *thin]) == 0
+    assert "warning: fluid.drag: Re_p is" in capsys.readouterr().err
 
 
 def dry(folder, **plan):

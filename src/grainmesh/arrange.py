@@ -253,6 +253,8 @@ def loose(
     rng = np.random.default_rng(seed)
     d = np.asarray(diameter, dtype=float)
     if d.shape == (2,) and n != 2 and np.isfinite(d).all():
+        if d[0] > d[1]:
+            raise InputError(f"diameter {d[0]:g} to {d[1]:g} m: the first must not be above")
         d = rng.uniform(d[0], d[1], n)
     d = Particles(np.zeros((n, 2)), d).diameter  # checks shape and sign
     largest, gap = float(d.max()), _positive("gap", gap)

@@ -44,6 +44,8 @@ if TYPE_CHECKING:
 
 #: Most steps of a particle, all together, that settling before time 0 may take: a minute or so.
 LONGEST = 1e9
+#: The same of the whole run: a year or so.
+MOST = 1e15
 
 
 class Case(Section):
@@ -162,13 +164,20 @@ class Case(Section):
         from grainmesh.simulation import Simulation
 
         self._is("run")
+        assert self.run is not None
         box, particles, held = self.arrangement()
-        model = self.model(box)
         fixed = np.arange(len(particles)) >= len(particles) - held
         with self._naming(), _worded(len(particles) - held):
+            model = self.model(box)
             particles = self._prepared(model, particles, fixed)
             start = self.start
             begun = Simulation(model, particles, start.velocity, start.spin, fixed=fixed)
+            steps = self.run.until / begun.dt
+            if steps * len(particles) > MOST:
+                raise InputError(
+                    f"run.until: {steps:.2g} steps of {begun.dt:.2g} s would take years: lower "
+                    "contact.stiffness, raise contact.dt, or let the run be shorter"
+                )
         begun.about = {"case": self._text, "source": str(self._path)}
         return begun
 
@@ -407,6 +416,8 @@ def _worded(first: int) -> Iterator[None]:
     except InputError as fault:
         said = str(fault).replace("grainmesh.relax(model, particles)", "start.relax = true")
         said = said.replace("give one side an Outlet()", 'make one side an "outlet"')
+        said = said.replace("drop open=; the fluid", "drop walls.open; the fluid")
+        said = said.replace("fluid sides={...: Outlet()}", 'fluid.sides = { top = "outlet" }')
         raise InputError(re.sub(r"particles (\d+) and (\d+) overlap", named, said)) from None
 
 

@@ -117,7 +117,11 @@ class Damaged(InputError):
 
 
 class Asked(InputError):
-    """A checkpoint that needs a function again."""
+    """A checkpoint that needs a function again; `about` as of the simulation."""
+
+    def __init__(self, message: str, about: dict[str, Any]) -> None:
+        super().__init__(message)
+        self.about = about
 
 
 def _read(path: Path, fluid: Fluid | None) -> tuple[Model, dict[str, Any], Arrays]:
@@ -149,7 +153,8 @@ def _read(path: Path, fluid: Fluid | None) -> tuple[Model, dict[str, Any], Array
         raise InputError(f"{path}: the fluid of the model is in the file, drop fluid=")
     if asked:
         raise Asked(
-            f"{path}: give the fluid of the model again, its drag or an inflow was a function"
+            f"{path}: give the fluid of the model again, its drag or an inflow was a function",
+            numbers["about"],
         )
     return model, numbers, arrays
 

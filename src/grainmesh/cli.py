@@ -12,10 +12,11 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from io import TextIOWrapper
 from math import isnan
@@ -131,6 +132,9 @@ def new(
 
     text = case.starter(starter)
     path = Path(name if name.endswith(".toml") else f"{name}.toml")
+    if not path.stem.strip(".") or path.stem == ".toml":
+        raise InputError(f"name '{name}' must be that of a file")
+    report.prove_writable(path.parent, [path.name])
     if path.exists():
         raise InputError(f"{path}: is there already; choose another name or remove it")
 
@@ -138,7 +142,8 @@ def new(
         to.write_text(text, encoding="utf-8")
 
     report.write(path.parent, {path.name: as_text})
-    print(f"{path}\n  grainmesh check {path}\n  grainmesh run {path} --out {path.with_suffix('')}")
+    file, folder = shlex.quote(str(path)), shlex.quote(str(path.with_suffix("")))
+    print(f"{path}\n  grainmesh check {file}\n  grainmesh run {file} --out {folder}")
 
 
 @app.command()
@@ -185,15 +190,18 @@ def run(
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="Change a key, as fluid.viscosity='2 cP'."),
     ] = None,
-    until: Annotated[float | None, typer.Option(help="Time to reach [s], not run.until.")] = None,
+    until: Annotated[
+        str | None, typer.Option(help='Time to reach, not run.until: 2, or "20 ms".')
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False,
     log: Annotated[Path | None, typer.Option(help="Log file, not run.log in the folder.")] = None,
 ) -> None:
     """Run a case. Ctrl-C finishes the step and saves; `grainmesh resume` goes on from there."""
     from grainmesh import case, report
+    from grainmesh.preview import preview
     from grainmesh.record import record
 
-    changes = [*(changes or ()), *([] if until is None else [f"run.until={until!r}"])]
+    changes = [*(changes or ()), *([] if until is None else [f"run.until={_seconds(until)!r}"])]
     found = case.read(file, changes)
     if found.run is None:
         report.prove_writable(out, FILES)
@@ -207,6 +215,8 @@ def run(
         with _progress() as tell:
             tell("" if quiet else "arranging the particles")
             begun = found.simulation()
+        for reason in preview(found, begun).reasons:
+            warnings.warn(reason, stacklevel=1)
         plan = about.until, about.every, about.frames, about.cuts, about.probes
         record(begun, out, *plan, shown=not quiet, log=log)
     _report(out)
@@ -216,7 +226,7 @@ def run(
 @app.command()
 def resume(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a run.")],
-    until: Annotated[float | None, typer.Option(help="Another time to reach [s].")] = None,
+    until: Annotated[str | None, typer.Option(help='Another time to reach: 2, or "20 ms".')] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False,
     log: Annotated[Path | None, typer.Option(help="Log file, not run.log in the folder.")] = None,
 ) -> None:
@@ -224,7 +234,8 @@ def resume(
     from grainmesh import record
 
     with _warned(), _stopped():
-        record.resume(folder, until, shown=not quiet, log=log)
+        end = None if until is None else _seconds(until)
+        record.resume(folder, end, shown=not quiet, log=log)
     _report(folder)
     print(folder)
 
@@ -588,6 +599,22 @@ def _warned() -> Iterator[None]:
         warnings.simplefilter("default")
         warnings.showwarning = show  # type: ignore[assignment]
         yield
+
+
+def _seconds(until: str) -> float:
+    """The option --until [s]."""
+    from grainmesh.units import si
+
+    value: float | str = until
+    with suppress(ValueError):
+        value = float(until)
+    try:
+        found = si(value, "s")
+    except InputError as fault:
+        raise InputError(f"--until: {fault}") from None
+    if found <= 0.0:
+        raise InputError(f"--until: {until} must be positive")
+    return found
 
 
 @contextmanager

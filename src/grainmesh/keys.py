@@ -120,6 +120,7 @@ SideName = Annotated[str, one_of(SIDES, "side")]
 #: Words for what pydantic says of a value.
 WORDS = {
     "missing": "has too few values",
+    "too_short": "has too few values",
     "too_long": "has too many values",
     "tuple_type": "must be a list",
     "list_type": "must be a list",

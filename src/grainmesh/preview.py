@@ -93,12 +93,14 @@ class _Found:
         return Preview(tuple(self.numbers), tuple(dict.fromkeys(self.reasons)))
 
 
-def preview(case: Case) -> Preview:
+def preview(case: Case, begun: Simulation | None = None) -> Preview:
     """Arrange the particles of a case and mesh them, run nothing.
 
     Parameters
     ----------
     case : Case
+    begun : Simulation, optional
+        That of a case of particles that move, if it is there already.
 
     Returns
     -------
@@ -111,7 +113,7 @@ def preview(case: Case) -> Preview:
     """
     if case.permeability is not None:
         return _resting(case, case.permeability)
-    return _moving(case)
+    return _moving(case, begun or case.simulation())
 
 
 def _resting(case: Case, about: PermeabilitySection) -> Preview:
@@ -147,9 +149,8 @@ def _resting(case: Case, about: PermeabilitySection) -> Preview:
     return found.done()
 
 
-def _moving(case: Case) -> Preview:
+def _moving(case: Case, simulation: Simulation) -> Preview:
     assert case.run is not None
-    simulation = case.simulation()
     model, particles, free = simulation.model, simulation.particles, ~simulation.fixed
     found = _Found()
     try:
@@ -351,6 +352,18 @@ def _sides(case: Case, fluid: FluidSection, box: Box, found: _Found) -> None:
                     'nothing the other way: make one side an "outlet", or let inflows add up to 0'
                 )
                 break
+    entering = []
+    for name, velocity in _inflows(fluid):
+        axis, end = divmod(SIDES.index(name), 2)
+        entering.append(velocity[axis] * (-1.0 if end else 1.0))
+        if entering[-1] == 0.0:
+            found.reasons.append(
+                f"fluid.sides.{name}: nothing flows through the side, at most along it at "
+                f"{abs(velocity[1 - axis]):g} m/s: check velocity = [to the right, upwards] and "
+                "the ramp"
+            )
+    if entering and max(entering) < 0.0:
+        found.reasons.append("fluid.sides: all inflows draw fluid out: check the signs of velocity")
     for number, name in enumerate(SIDES):
         wall, side = getattr(case.walls, name), sides[name]
         moved = wall.velocity[1 - number // 2] if wall else 0.0

@@ -26,7 +26,7 @@ from importlib import import_module
 from math import ceil, isfinite
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, TextIO
 
 from numpy.typing import ArrayLike
 
@@ -155,25 +155,29 @@ def record(
             )
     history.places(plan.probes, begun.model.box)
     prove_writable(folder, FILES)
+    if log:
+        _opened(Path(log)).close()
     text, source = (begun.about.get(name, "") for name in ("case", "source"))
     begun.about = {"plan": asdict(plan), "case": text}
     begun.history = [begun.measure()]
     begun.history[0] |= history.more(begun, plan.probes)
     with _written(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        if text:
-            _write(folder / CASE, text)
-        _write(folder / ENVIRONMENT, _json(_environment(plan, source)))
-    begun.save(folder)
-    try:
-        return _go(begun, folder, shown, log)
-    except RunError:
-        if begun.step == 0:  # nothing to go on from, and in the way of the next run
-            for name in (*FILES, checkpoint.OLD):
-                (folder / name).unlink(missing_ok=True)
-            with suppress(OSError):  # other files are in it
-                folder.rmdir()
-        raise
+    with _only_writer(folder):
+        with _written(folder):
+            if text:
+                _write(folder / CASE, text)
+            _write(folder / ENVIRONMENT, _json(_environment(plan, source)))
+        begun.save(folder)
+        try:
+            return _go(begun, folder, shown, log)
+        except RunError:
+            if begun.step == 0:  # nothing to go on from, and in the way of the next run
+                for name in (*FILES, checkpoint.OLD):
+                    (folder / name).unlink(missing_ok=True)
+                with suppress(OSError):  # other files are in it
+                    folder.rmdir()
+            raise
 
 
 def resume(
@@ -195,15 +199,23 @@ def resume(
     Raises
     ------
     InputError
-        If there is no run, its files are damaged, or it has passed `until`; then as `record`.
+        If there is no run, another process is writing it, its files are damaged, ``case.toml`` was
+        edited, or it has passed `until`; then as `record`.
     """
     folder = Path(folder)
+    with _only_writer(folder):
+        return _resume(folder, until, shown, log)
+
+
+def _resume(folder: Path, until: float | None, shown: bool, log: str | Path | None) -> Simulation:
     begun = _resumed(folder)
     if "plan" not in begun.about:
         raise InputError(
             f"{folder}: holds a checkpoint, but no run of a case: grainmesh.resume(folder) in "
             "Python goes on from it"
         )
+    if begun.about.get("case"):
+        _refuse_edited(folder, begun.about["case"])
     plan = Plan(**begun.about["plan"])
     plan = replace(plan, until=plan.until if until is None else until)
     last = _last(begun, plan)
@@ -226,13 +238,47 @@ def _resumed(folder: Path) -> Simulation:
         )
     try:
         return simulation.resume(folder)
-    except checkpoint.Asked:
-        if not (folder / CASE).is_file():
+    except checkpoint.Asked as asked:
+        if not asked.about.get("case"):
             raise
-        about = _environment_of(folder)
-        return case.parse(
-            (folder / CASE).read_text("utf-8"), about.get("case") or folder / CASE
-        ).resume(folder)
+        source = _environment_of(folder).get("case") or folder / CASE
+        return case.parse(asked.about["case"], source).resume(folder)
+
+
+def _refuse_edited(folder: Path, text: str) -> None:
+    """Refuse a ``case.toml`` that is no longer the case of the run; write it if it is gone."""
+    path = folder / CASE
+    if not path.exists():
+        with _written(folder):
+            _write(path, text)
+    if path.read_bytes().split() != text.encode().split():
+        raise InputError(
+            f"{path}: is not the case that the run was begun with, which its checkpoint holds: "
+            "remove it or undo the changes, or begin another run with it (grainmesh run)"
+        )
+
+
+@contextmanager
+def _only_writer(folder: Path) -> Iterator[None]:
+    """Keep other processes from writing the same run."""
+    if os.name != "posix" or not folder.is_dir():
+        yield
+        return
+    import fcntl
+
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):  # a file system without locks
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise InputError(
+                    f"{folder}: another process is writing this run: wait for its end, or choose "
+                    "another folder"
+                ) from None
+        yield
+    finally:
+        os.close(handle)
 
 
 def _complete(run: Simulation, folder: Path, plan: Plan) -> bool:
@@ -306,10 +352,7 @@ class _Output:
         self.frames: dict[str, list[vtkhdf.Frame]] = {vtkhdf.FLOW: [], vtkhdf.DISCS: []}
         self.spent = {"frames": 0.0, "checkpoint": 0.0, "history": 0.0}
         self.before: dict[str, float] = _environment_of(folder).get("seconds", {})
-        try:
-            self.file = log.open("a", encoding="utf-8", buffering=1)
-        except OSError as fault:
-            raise InputError(f"{log}: cannot be written ({fault.strerror})") from None
+        self.file = _opened(log)
 
     def __enter__(self) -> _Output:
         return self
@@ -325,7 +368,12 @@ class _Output:
     def begin(self, last: int) -> None:
         """Drop what is later than the state; the first frame and the first line of the log."""
         run, versions = self.run, checkpoint.versions()
-        for name in (vtkhdf.FLOW, vtkhdf.DISCS):
+        for name in (vtkhdf.DISCS,) if run.flow is None else (vtkhdf.DISCS, vtkhdf.FLOW):
+            if run.step and not (self.folder / name).exists():
+                raise InputError(
+                    f"{self.folder / name}: is missing, the frames of the run so far: put it back, "
+                    "or begin another run"
+                )
             vtkhdf.cut(self.folder / name, run.t if run.step else -1.0)
         self.log(
             f"{'resumed' if run.step else 'started'} at t = {run.t:.6g} s, {len(run)} particles, "
@@ -451,6 +499,14 @@ def _environment_of(folder: Path) -> dict[str, Any]:
         if isinstance(found, dict):
             return found
     return {}
+
+
+def _opened(log: Path) -> TextIO:
+    """A log, to be added to."""
+    try:
+        return log.open("a", encoding="utf-8", buffering=1)
+    except OSError as fault:
+        raise InputError(f"{log}: cannot be written ({fault.strerror})") from None
 
 
 def _json(found: dict[str, Any]) -> str:

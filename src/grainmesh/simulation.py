@@ -447,7 +447,11 @@ class Simulation:
             particle leaves where it must not. The state is then the last good one, which is saved.
         """
         for name, value in (("until", until), ("every", every)):
-            if value is not None and not (isfinite(value) and value > 0.0):
+            if value is None:
+                continue
+            if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
+                raise InputError(f"run: {name} = {value!r} must be a number [s]")
+            if not (isfinite(value) and value > 0.0):
                 raise InputError(f"run: {name} = {value:g} s must be positive")
         last = ceil(until / self.dt - 1e-6)
         if save and self.step < last:  # a folder that cannot be written is not found out too late

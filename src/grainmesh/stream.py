@@ -185,6 +185,12 @@ class FluidSection(Section):
         return {} if self.depth is None else {"depth": self.depth}
 
     def build(self, box: Box) -> medium.Fluid:
+        near = self.spacing[0] if isinstance(self.spacing, tuple) else self.spacing
+        if near is not None and near > 10.0 * box.size.max():
+            raise InputError(
+                f"fluid.spacing: {near:g} m is far more than the box, {box.width:.3g} m x "
+                f"{box.height:.3g} m: check the unit, or leave it out"
+            )
         sides = {
             name: side.build(box, name)
             for name in SIDES
