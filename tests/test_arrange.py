@@ -525,6 +525,7 @@ def test_loose_discs_that_do_not_fit_are_refused_with_how_many_do():
         ({"diameter": -0.1}, "diameter -0.1"),
         ({"diameter": np.ones(3)}, "diameter needs one value or 5"),
         ({"diameter": (0.1, float(NAN))}, "diameter"),
+        ({"diameter": (0.2, 0.1)}, "diameter 0.2 to 0.1 m"),
         ({"density": 0.0}, "density 0"),
     ):
         with pytest.raises(InputError, match=message):

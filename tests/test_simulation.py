@@ -581,3 +581,14 @@ def test_a_column_that_collapses_runs_out_less_far_the_rougher_its_discs(seed):
     assert reach[0] > 2.0 * reach[-1]
     assert reach[-1] > 1.2 * narrow.width  # and yet it has collapsed
     assert mound[-1] < 0.8 * height
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, "1 s", True])
+def test_times_that_cannot_be_reached_are_refused(value):
+    run = gm.Simulation(
+        gm.Model(gm.Box(1.0, 1.0), gm.Contact(1.0)), gm.Particles([[0.5, 0.5]], 0.1)
+    )
+    for times in ({"until": value}, {"until": 1.0, "every": value}):
+        with pytest.raises(gm.InputError, match=r"run: (until|every) = .* must be"):
+            run.run(**times)
+    assert run.step == 0

@@ -254,7 +254,9 @@ def loose(
     d = np.asarray(diameter, dtype=float)
     if d.shape == (2,) and n != 2 and np.isfinite(d).all():
         if d[0] > d[1]:
-            raise InputError(f"diameter {d[0]:g} to {d[1]:g} m: the first must not be above")
+            raise InputError(
+                f"diameter {d[0]:g} to {d[1]:g} m: the first must not be above the second"
+            )
         d = rng.uniform(d[0], d[1], n)
     d = Particles(np.zeros((n, 2)), d).diameter  # checks shape and sign
     largest, gap = float(d.max()), _positive("gap", gap)

@@ -199,7 +199,7 @@ def run(
     """Run a case. Ctrl-C finishes the step and saves; `grainmesh resume` goes on from there."""
     from grainmesh import case, report
     from grainmesh.preview import preview
-    from grainmesh.record import record
+    from grainmesh.record import prove_vacant, record
 
     changes = [*(changes or ()), *([] if until is None else [f"run.until={_seconds(until)!r}"])]
     found = case.read(file, changes)
@@ -211,12 +211,20 @@ def run(
         _show(file, results, ())
         return
     about = found.run
+    prove_vacant(out)
     with _warned(), _stopped():
         with _progress() as tell:
             tell("" if quiet else "arranging the particles")
             begun = found.simulation()
-        for reason in preview(found, begun).reasons:
+        ahead = preview(found, begun)
+        for reason in ahead.reasons:
             warnings.warn(reason, stacklevel=1)
+        if not quiet:
+            cost = {number.name: number.value for number in ahead.numbers}
+            print(
+                f"estimate: {cost['memory']:.0f} MiB, {cost['run time']:.2g} s on one core",
+                file=sys.stderr,
+            )
         plan = about.until, about.every, about.frames, about.cuts, about.probes
         record(begun, out, *plan, shown=not quiet, log=log)
     _report(out)

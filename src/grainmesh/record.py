@@ -147,14 +147,8 @@ def record(
     folder = Path(folder)
     if begun.step > 0:
         raise InputError("record: the simulation has begun already, give one at time 0")
-    for name in (checkpoint.NAME, checkpoint.OLD):
-        if (folder / name).exists():
-            raise InputError(
-                f"{folder}: holds a run already: go on with it (grainmesh resume {folder}), or "
-                "choose another folder"
-            )
+    prove_vacant(folder)
     history.places(plan.probes, begun.model.box)
-    prove_writable(folder, FILES)
     if log:
         _opened(Path(log)).close()
     text, source = (begun.about.get(name, "") for name in ("case", "source"))
@@ -178,6 +172,24 @@ def record(
                 with suppress(OSError):  # other files are in it
                     folder.rmdir()
             raise
+
+
+def prove_vacant(folder: str | Path) -> None:
+    """Make sure that a folder can take a run, before the particles are arranged.
+
+    Raises
+    ------
+    InputError
+        If it holds a run, or cannot be written.
+    """
+    folder = Path(folder)
+    for name in (checkpoint.NAME, checkpoint.OLD):
+        if (folder / name).exists():
+            raise InputError(
+                f"{folder}: holds a run already: go on with it (grainmesh resume {folder}), or "
+                "choose another folder"
+            )
+    prove_writable(folder, FILES)
 
 
 def resume(
@@ -531,4 +543,4 @@ def _written(folder: Path) -> Iterator[None]:
         ) from None
 
 
-__all__ = ["CASE", "ENVIRONMENT", "LOG", "Plan", "Stopped", "record", "resume"]
+__all__ = ["CASE", "ENVIRONMENT", "LOG", "Plan", "Stopped", "prove_vacant", "record", "resume"]
