@@ -587,6 +587,7 @@ def test_numbers_of_grains():
         ({"spacing": (0.0, 1e-3)}, "spacing = 0 must be positive"),
         ({"spacing": [1e-3]}, "spacing [0.001] must be two numbers"),
         ({"spacing": np.array(1e-3)}, "spacing = array(0.001) must be a finite number"),
+        ({"push": np.array(1.0)}, "push 1.0 must be two numbers"),
         ({"tolerance": -1e-6}, "tolerance = -1e-06 must be positive"),
         ({"added_mass": -0.5}, "added_mass = -0.5 must not be negative"),
         ({"drag": "stokes"}, "drag law stokes takes depth"),

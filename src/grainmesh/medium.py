@@ -163,9 +163,7 @@ class Fluid:
             value = getattr(self, name)
             if value is None and name in ("dt", "spacing"):
                 continue
-            if name == "spacing" and isinstance(value, np.ndarray) and value.ndim:
-                value = value.tolist()
-            if name == "spacing" and isinstance(value, (tuple, list)):
+            if name == "spacing" and (isinstance(value, (tuple, list)) or np.ndim(value)):
                 value = _pair("fluid: spacing", value, "m")
                 object.__setattr__(self, "spacing", value)
                 if value[0] > value[1]:
@@ -242,7 +240,9 @@ def _number(name: str, value: object, unit: str) -> None:
 
 def _pair(name: str, value: object, unit: str) -> tuple[float, float]:
     """Two finite numbers, or raise."""
-    if not isinstance(value, (tuple, list, np.ndarray)) or len(value) != 2:
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if not isinstance(value, (tuple, list)) or len(value) != 2:
         raise InputError(f"{name} {value!r} must be two numbers [{unit}]")
     for part in value:
         _number(name, part, unit)

@@ -128,8 +128,6 @@ class Bounded(Living):
         if not self._repair():
             self.renew(self.points[: self.n])
             return True
-        if self.inside == 0:
-            return self.flips > before
         out = self._crowded()
         fits = len(out) == 0 or (self._take_out(out) and self._repair())
         put = self._fill(free) if fits else 0
@@ -222,7 +220,7 @@ class Bounded(Living):
     def _fill(self, free: NDArray[np.int64]) -> int:
         """Put nodes of these numbers where there is room, as far as they go; how many."""
         total = 0
-        while self.inside and len(free):
+        while len(free):
             places = self._openings()[: len(free)]
             some, free = free[: len(places)], free[len(places) :]
             self.points[some] = places
@@ -249,8 +247,6 @@ class Bounded(Living):
         return places[taken]
 
     def _take_out(self, vertices: NDArray[np.int64]) -> bool:
-        if len(vertices) == 0:
-            return True
         arrays = self.triangles, self.neighbours, self.shifts
         size, gone = remove(self.points, self.period, *arrays, vertices)
         self.triangles, self.neighbours, self.shifts = (array[:size] for array in arrays)
@@ -328,7 +324,7 @@ def bounded(box: Box, x: Float, radius: Float, spacing: Spacing = None) -> Bound
         A centre outside, two at one place, a disc hidden behind others, a spacing that is not
         positive or makes too many nodes.
     """
-    two = np.full(2, np.inf)
+    two, count = np.full(2, np.inf), 0.0
     if spacing is not None:
         two[:] = spacing
         if not (np.isfinite(two).all() and 0.0 < two[0] <= two[1]):
@@ -342,7 +338,7 @@ def bounded(box: Box, x: Float, radius: Float, spacing: Spacing = None) -> Bound
                 "unit, or take a larger one"
             )
     nodes = np.vstack([x, _on_walls(box, radius, float(two[0]))])
-    return _made(box, nodes, radius, two)
+    return _made(box, nodes, radius, two, ceil(SPARE * count))
 
 
 def _asked(box: Box, radius: Float, near: float, far: float) -> float:
@@ -388,12 +384,11 @@ def alone(box: Box, x: Float, radius: Float, reach: float) -> Bounded:
         margin = max(margin, 0.02 * float(box.size.max()))  # else they were too many
         around = _around(box.size + 2.0 * margin, margin)
         points = np.vstack([x, around - margin])
-    return _made(box, points, radius, np.full(2, np.inf))
+    return _made(box, points, radius, np.full(2, np.inf), 0)
 
 
-def _made(box: Box, used: Float, radius: Float, spacing: Float) -> Bounded:
+def _made(box: Box, used: Float, radius: Float, spacing: Float, inside: int) -> Bounded:
     """The triangulation of points in use, the first of which are discs, made from nothing."""
-    inside = ceil(SPARE * _asked(box, radius, *spacing.tolist()))
     points = np.vstack([used, np.zeros((inside, 2))])
     weight = np.zeros(len(points))
     weight[: len(radius)] = radius**2

@@ -332,6 +332,12 @@ def _inflows(fluid: FluidSection) -> list[tuple[str, tuple[float, float]]]:
     return found
 
 
+def _inwards(name: str, velocity: tuple[float, float]) -> float:
+    """What of a velocity goes into the box through a side."""
+    axis, end = divmod(SIDES.index(name), 2)
+    return velocity[axis] * (-1.0 if end else 1.0)
+
+
 def _sides(case: Case, fluid: FluidSection, box: Box, found: _Found) -> None:
     """What the sides of the fluid cannot be, or hardly are meant to be."""
     sides = {name: getattr(fluid.sides, name) for name in SIDES}
@@ -342,10 +348,9 @@ def _sides(case: Case, fluid: FluidSection, box: Box, found: _Found) -> None:
         for t in sorted(t for t in times if 0.0 <= t <= case.run.until):
             volumes = []
             for name, side in inflows.items():
-                axis, end = divmod(SIDES.index(name), 2)
                 factor = float(np.interp(t, *np.transpose(side.ramp))) if side.ramp else 1.0
-                inwards = factor * side.velocity[axis] * (-1.0 if end else 1.0)
-                volumes.append(inwards * float(box.size[1 - axis]))
+                length = float(box.size[1 - SIDES.index(name) // 2])
+                volumes.append(factor * _inwards(name, side.velocity) * length)
             if abs(sum(volumes)) > 1e-9 * sum(map(abs, volumes)):
                 found.reasons.append(
                     f"fluid.sides: {sum(volumes):.3g} m2/s flow into the box at t = {t:g} s and "
@@ -354,13 +359,11 @@ def _sides(case: Case, fluid: FluidSection, box: Box, found: _Found) -> None:
                 break
     entering = []
     for name, velocity in _inflows(fluid):
-        axis, end = divmod(SIDES.index(name), 2)
-        entering.append(velocity[axis] * (-1.0 if end else 1.0))
+        entering.append(_inwards(name, velocity))
         if entering[-1] == 0.0:
             found.reasons.append(
                 f"fluid.sides.{name}: nothing flows through the side, at most along it at "
-                f"{abs(velocity[1 - axis]):g} m/s: check velocity = [to the right, upwards] and "
-                "the ramp"
+                f"{hypot(*velocity):g} m/s: check velocity = [to the right, upwards] and the ramp"
             )
     if entering and max(entering) < 0.0:
         found.reasons.append("fluid.sides: all inflows draw fluid out: check the signs of velocity")

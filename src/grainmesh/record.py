@@ -23,7 +23,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from importlib import import_module
-from math import ceil, isfinite
+from math import ceil
 from pathlib import Path
 from time import perf_counter
 from typing import Any, TextIO
@@ -76,10 +76,7 @@ class Plan:
     probes: ArrayLike = ()
 
     def __post_init__(self) -> None:
-        for name in ("until", "every", "frames"):
-            value = getattr(self, name)
-            if not (isfinite(value) and value > 0.0):
-                raise InputError(f"run: {name} = {value:g} s must be positive")
+        simulation.prove_times(until=self.until, every=self.every, frames=self.frames)
         if self.cuts < 1:
             raise InputError(f"run: cuts = {self.cuts} must be at least 1")
         object.__setattr__(self, "probes", history.places(self.probes).tolist())

@@ -446,13 +446,7 @@ class Simulation:
             If a number becomes infinite or undefined, discs overlap too much to be found, or a
             particle leaves where it must not. The state is then the last good one, which is saved.
         """
-        for name, value in (("until", until), ("every", every)):
-            if value is None:
-                continue
-            if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
-                raise InputError(f"run: {name} = {value!r} must be a number [s]")
-            if not (isfinite(value) and value > 0.0):
-                raise InputError(f"run: {name} = {value:g} s must be positive")
+        prove_times(until=until, **({} if every is None else {"every": every}))
         last = ceil(until / self.dt - 1e-6)
         if save and self.step < last:  # a folder that cannot be written is not found out too late
             self.save(save)
@@ -865,6 +859,15 @@ class Simulation:
         return f"the {side} wall" if side else f"wall {number}"
 
 
+def prove_times(**times: float) -> None:
+    """Raise InputError if a time of a run [s], given by its name, is no positive number."""
+    for name, value in times.items():
+        if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
+            raise InputError(f"run: {name} = {value!r} must be a number [s]")
+        if not (isfinite(value) and value > 0.0):
+            raise InputError(f"run: {name} = {value:g} s must be positive")
+
+
 def resume(
     folder: str | Path, force: Force | None = None, fluid: Fluid | None = None
 ) -> Simulation:
@@ -920,4 +923,4 @@ def resume(
     return simulation
 
 
-__all__ = ["Simulation", "resume"]
+__all__ = ["Simulation", "prove_times", "resume"]
